@@ -16,6 +16,7 @@ from napari_deltamic.cli.messages import Notes
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import files, sphere
 from napari_deltamic.gui.results import more_actions
+from napari_deltamic.gui.viewing.frame import camera_of
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.cell_columns import COLUMNS
 from napari_deltamic.results.report import History
@@ -166,6 +167,24 @@ def test_a_row_dims_the_other_cells_and_goes_there(widget, with_image):
     assert scene.camera.center[-2:] == pytest.approx(world[-2:], abs=0.05)
     widget.results.table.clearSelection()
     np.testing.assert_array_equal(surface.data[2], plain)
+
+
+def test_what_is_said_of_the_middle_of_the_view_goes_when_it_moves(widget, with_image, spin):
+    check, camera = widget.running, camera_of(with_image)
+    spin(lambda: widget.doc.result.judged is not None)
+    check.go_to_worst()
+    assert check.note.text().startswith("In the middle of the view")
+    camera.center = tuple(np.add(camera.center, 1e-6))  # as a canvas rounds it
+    camera.zoom *= 2
+    assert check.note.text()
+    widget.results.table.selectRow(0)
+    assert not check.note.text()
+    check.go_to_worst()
+    with_image.dims.set_point(0, with_image.dims.point[0] + 3 * SIZE[0])
+    assert not check.note.text()
+    check.tell("something else")
+    with_image.dims.set_point(0, with_image.dims.point[0] - 3 * SIZE[0])
+    assert check.note.text() == "something else"
 
 
 def test_what_is_to_be_said_of_the_cell_chosen_is_said(widget):

@@ -8,6 +8,7 @@ from itertools import groupby
 from math import isfinite
 from typing import Any
 
+import numpy as np
 from qtpy.QtCore import QPointF, QRectF
 from qtpy.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen, QPolygonF
 from qtpy.QtWidgets import QGroupBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
@@ -18,6 +19,7 @@ from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment, explained
 from ..document import VIEWS, Document
 from ..record import Record
+from ..viewing.frame import camera_of
 from ..widgets import Fold, Note, Signal, button, filled, is_dark, narrow_box, row
 from .edits import Edits
 from .history_bar import HistoryBar
@@ -39,6 +41,7 @@ class CheckPanel(QGroupBox):
         super().__init__("4  Check", parent)
         self._doc = doc
         self._note_of: Any = None  # the image that the note is about
+        self._seen: list[float] | None = None  # where the view was that the note speaks of
         self._offset = 0  # iterations of the runs before the present one
         self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
         tip = "Go to where the image differs most from the rendered one."
@@ -84,6 +87,7 @@ class CheckPanel(QGroupBox):
 
     def tell(self, text: str) -> None:
         """What came of something that the user did, in a line."""
+        self._seen = None
         self._note_of = self._doc.image.layer
         self.note.say(text)
         self._hide_if_empty()
@@ -98,11 +102,29 @@ class CheckPanel(QGroupBox):
                 f"In the middle of the view the image is {kind} than rendered, by "
                 f"{abs(spots[0].z):.0f} standard deviations of the noise."
             )
+            self._seen = self._middle()
+
+    def _middle(self) -> list[float]:
+        """Where the view looks: the slices shown, and the middle of the axes that it spans."""
+        dims = self._doc.viewer.dims
+        return [*dims.point, *camera_of(self._doc.viewer).center[-dims.ndisplay :]]
+
+    def _view_moved(self, event: Any = None) -> None:
+        """What was said of the middle of the view is of another place now."""
+        before, now, link = self._seen, self._middle(), self._doc.link
+        if before is None or link is None:
+            return
+        # napari's canvas rounds; a nudge of the view does not make the sentence wrong.
+        near = 2 * max(link.image_layer.scale[-3:])
+        if len(now) != len(before) or not np.allclose(now, before, rtol=0, atol=near):
+            self.tell("")
 
     def _connect(self) -> None:
         doc = self._doc
         self.view.currentTextChanged.connect(doc.look)
         self.slice.activated.connect(self._turn)
+        doc.listen(doc.viewer.dims.events.point, self._view_moved)
+        doc.listen(camera_of(doc.viewer).events.center, self._view_moved)
         self.history.moment_chosen.connect(self._look_at)
         doc.noted.connect(self.tell)
         doc.work.changed.connect(self._work_changed)
