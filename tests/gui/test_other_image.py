@@ -141,6 +141,22 @@ def test_nuclei_found_in_one_channel_mark_the_cells_of_another(
     assert with_image.layers["found cells"] not in widget.seeds.cells.ticked
 
 
+def test_the_fields_of_the_voxel_size_are_closed_for_the_next_image(
+    make_widget, with_image, pixels, other
+):
+    panel = make_widget().image
+    panel.edit_size.setChecked(True)
+    panel.voxel_size._boxes[0].setValue(0.4)
+    assert panel.edit_size.isChecked(), "it is the same image"
+    other()
+    with_image.layers.remove("cell")
+    assert not panel.edit_size.isChecked()
+    assert panel.voxel_size.isHidden()
+    with_image.add_image(pixels, name="no size")
+    with_image.layers.remove("other")
+    assert panel.edit_size.isChecked(), "nobody knows it"
+
+
 def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
     monkeypatch.setattr(
         effects_panel, "recommend_for", lambda *a, **k: recommendation(FADING, HALO)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 
 from qtpy.QtWidgets import QFormLayout, QGroupBox, QLabel, QWidget
@@ -46,6 +47,7 @@ class ImagePanel(QGroupBox):
         layout.addRow("voxel", row((self.size_line, 1), self.edit_size))
         layout.addRow(self.voxel_size)
         layout.addRow(self.note)
+        self._shown: Any = None  # a weak reference to the layer that is shown
         self._choices: list[Choice] = []
         self._of_channels: Any = None  # the layer whose channels are offered
         doc.image.looked.connect(self._show)
@@ -60,6 +62,9 @@ class ImagePanel(QGroupBox):
     def _show(self) -> None:
         image = self._image
         layer = image.layer
+        if layer is not (None if self._shown is None else self._shown()):
+            self.edit_size.setChecked(False)  # the fields were opened for another image
+            self._shown = None if layer is None else weakref.ref(layer)
         for field in (self.voxel_size, self.edit_size, self.region):
             field.setEnabled(layer is not None)
         self.region.setCurrentText(WHOLE if image.box is None else BOX)
