@@ -1,5 +1,7 @@
 """Another image is chosen: nothing that is of the first one is shown as the new one's."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import tifffile
@@ -117,6 +119,26 @@ def test_why_no_cells_were_found_goes_with_the_image(make_widget, spin, other, m
     assert "noise" not in widget.seeds.note.text()
 
 
+def test_lengths_are_in_voxels_where_nobody_knows_their_size(app, viewer, spin, monkeypatch):
+    pixels = np.random.default_rng(0).poisson(100, (20, 24, 24)).astype(np.float32)
+    labels = np.zeros(pixels.shape, np.int32)
+    labels[5:12, 5:15, 5:15] = 1
+    found = CellsFound(labels, 9.0, False, (SimpleNamespace(size=3.0, cells=2),))
+    monkeypatch.setattr(find_cells_button, "look", lambda *given: found)
+    viewer.add_image(pixels, name="cell")
+    widget = FitWidget(viewer)
+    widget.seeds.find_cells.click()
+    spin(lambda: "Found 1 cell" in widget.seeds.find_cells.message)
+    assert widget.seeds.find_cells.message == "Found 1 cell of about 9 voxels."
+    spin(lambda: "voxels" in widget.seeds.note.text())
+    assert "2 cells of 3 voxels</a>" in widget.seeds.note.text()
+    frame = widget.doc.image.frame()
+    assert frame.length == "voxels"
+    widget.doc.image.rescale((0.3, 0.2, 0.2))
+    assert widget.doc.image.frame().length == "µm"
+    widget.close_links()
+
+
 def test_nuclei_found_in_one_channel_mark_the_cells_of_another(
     make_widget, with_image, spin, monkeypatch, tmp_path, pixels
 ):
@@ -135,7 +157,7 @@ def test_nuclei_found_in_one_channel_mark_the_cells_of_another(
     spin(lambda: "Found 1 cell" in widget.seeds.note.text())
     choose(widget, "membranes")
     assert with_image.layers["found cells"] in widget.seeds.cells.ticked
-    assert widget.seeds.find_cells.message == "Found 1 cell of about 1 µm."
+    assert widget.seeds.find_cells.message == "Found 1 cell of about 1 voxels."  # nobody told
     assert not widget.seeds.find_cells.others
     choose(widget, "neither")  # of its channels
     assert with_image.layers["found cells"] not in widget.seeds.cells.ticked

@@ -1,5 +1,7 @@
 """What the window says: in its own words, and in colours that can be read."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from qtpy.QtGui import QColor
@@ -9,6 +11,7 @@ from napari_deltamic.gui.fit_widget import Column
 from napari_deltamic.gui.viewing.colours import BY_VALUE, ByValue
 from napari_deltamic.gui.widgets import VERDICTS, Note
 from napari_deltamic.gui.window_words import for_window
+from napari_deltamic.results.judged import told
 
 GROUNDS = {"dark": "#23242b", "light": "#ebe7e6"}  # of napari's themes
 
@@ -44,6 +47,13 @@ def test_flags_are_named_as_the_fields_of_the_window(app, text, shown):
     note = Note()
     note.say(text)
     assert note.text() == shown
+
+
+def test_a_grade_is_told_in_voxels_where_their_size_is_not_known():
+    verdict = SimpleNamespace(grade="good", usual_error_um=0.138, reasons=())
+    known = SimpleNamespace(verdict=verdict, found=SimpleNamespace(explained=0.9))
+    assert told(known).endswith("signal around them; they are off by about 138 nm.")
+    assert told(known, "voxels").endswith("they are off by about 0.14 voxels.")
 
 
 @pytest.mark.parametrize("verdict", sorted(VERDICTS))

@@ -101,8 +101,11 @@ def _measured(
     return rows
 
 
-def told(known: Judged) -> str:
-    """The grade, how much of the image the cells explain, and why it is no better."""
+def told(known: Judged, length: str = "µm") -> str:
+    """The grade, how much of the image the cells explain, and why it is no better.
+
+    length : what lengths are in: µm, or voxels where their size is not known.
+    """
     verdict: Verdict = known.verdict
     explained = known.found.explained
     if explained is None:
@@ -111,7 +114,10 @@ def told(known: Judged) -> str:
         f"{verdict.grade.capitalize()}: the cells explain {explained:.0%} of the signal around them"
     )
     off = verdict.usual_error_um
-    text += "." if off is None else f"; they are off by about {1000 * off:.0f} nm."
+    if off is not None:
+        much = f"{off:.2g} voxels" if length == "voxels" else f"{1000 * off:.0f} nm"
+        text += f"; they are off by about {much}"
+    text += "."
     # The cells have reasons of their own.
     reasons = [r for r in verdict.reasons if "is explained" not in r and not names_cells(r)]
     if any(names_cells(reason) for reason in verdict.reasons):

@@ -186,7 +186,8 @@ class CheckPanel(QGroupBox):
         """How well the shapes explain the image, and what can be done about it."""
         known = None if record is None else record.judged
         grade = "" if known is None else known.verdict.grade
-        text = "" if known is None else told(known)
+        length = "" if record is None else record.link.frame.length
+        text = "" if known is None else told(known, length)
         if record is not None and record.by_hand:  # no fit has looked at these shapes
             text, grade = "Changed by hand: continue the fit.", ""
         self.grade.say(text, grade)

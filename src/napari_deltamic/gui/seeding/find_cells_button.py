@@ -128,7 +128,7 @@ class FindCells(QPushButton):
         layer, self._found_in = self._layer_for(frame, labels), image_layer
         others = [(s, k) for s, k in self._sizes if abs(s / size - 1) > _SAME]
         found = counted(cells_in(labels), "cell")
-        self._tell(f"Found {found} of about {size:.3g} µm.", others)
+        self._tell(f"Found {found} of about {size:.3g} {frame.length}.", others)
         self._cells.choose(layer)
 
     def _layer_for(self, frame: Frame, labels: NDArray[np.int32]) -> Any:

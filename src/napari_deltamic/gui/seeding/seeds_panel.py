@@ -300,9 +300,10 @@ class SeedsPanel(QGroupBox):
         self._form.setRowVisible(self.preview, shown and not self.cells.spheres)
         # While labels are corrected, their number stands below the tools.
         texts = [] if self.corrections.count.text() else [self.find_cells.message]
+        length = self._image.frame().length if self.find_cells.others and sized else "µm"
         others = [
             f"<a style='color: {LINK}' href='{size!r}'>"
-            f"{counted(n, 'cell') + ' of ' if n else ''}{size:.3g} µm</a>"
+            f"{counted(n, 'cell') + ' of ' if n else ''}{size:.3g} {length}</a>"
             for size, n in self.find_cells.others
         ]
         if others:

@@ -86,6 +86,12 @@ class Frame:
         """Voxels of the region; None for all of the image."""
         return None if self.box is None else tuple(b - a for a, b in self.box)
 
+    @property
+    def length(self) -> str:
+        """What lengths are in; nobody has said how large the voxels are where it is voxels."""
+        unknown = set(self.units) == {"pixel"} and set(self.voxel_size) == {1.0}
+        return "voxels" if unknown else "µm"
+
     def grid(self, shape: tuple[int, ...]) -> Grid:
         """The grid of an image of a shape."""
         return Grid((shape[0], shape[1], shape[2]), self.voxel_size)
