@@ -87,6 +87,7 @@ def press(window, text):
     """In the canvas."""
     canvas, shift = window.window._qt_viewer.canvas.native, Qt.KeyboardModifier.ShiftModifier
     QTest.keyClick(canvas, getattr(Qt.Key, f"Key_{text[-1]}"), shift)
+    QTest.keyRelease(canvas, Qt.Key.Key_Shift)  # else Qt takes Shift for held in later tests
 
 
 @pytest.mark.parametrize("kind", ["image", "labels", "points", "shapes"])
