@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import fit, rival_structures
+from napari_deltamic.fitting import fit, level_run, rival_structures
 from napari_deltamic.fitting.shape import Shape
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
@@ -24,13 +24,21 @@ def ended(*shining):
     return state
 
 
-def test_cytoplasm_around_a_dark_nucleus_is_doubted():
+def test_cytoplasm_around_a_dark_nucleus_is_doubted(monkeypatch):
+    asked = []
+
+    def counted(terms, objective, factored):
+        asked.append(objective)
+        return rival_structures.insides_may_do(terms, objective, factored)
+
+    monkeypatch.setattr(level_run, "insides_may_do", counted)
     cell, nucleus = (sphere(CENTER, r * RADIUS, subdivisions=3) for r in (1.0, 0.5))
     state = ended(nd.Solid(cell), nd.Solid(nucleus, -0.75))
     # What makes the test worth its name: the fit is wrong.
     assert state.light.membrane > 0
     assert state.mesh.volumes()[1] < 0.8 * cell.volumes()[1]
     assert state.unsure
+    assert len(asked) == 1  # in the end: a few steps of another fit take time
 
 
 def test_a_membrane_with_a_dim_inside_is_not():

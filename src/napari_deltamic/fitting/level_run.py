@@ -15,6 +15,7 @@ from .fitted import Arrays, Fitted
 from .level import Level
 from .position import Position, RunContext
 from .prediction import View
+from .rival_structures import insides_may_do
 from .schedule import Progress
 from .state import FitState
 from .state_of import state_of
@@ -279,6 +280,17 @@ class LevelRun:
         if after.again != progress.again and fitted.mesh is not at.fitted.mesh:
             self._go_on_elsewhere(at.fitted.mesh)
         return True
+
+    def look_back(self) -> None:
+        """Where a fit of both has ended by itself: whether insides alone may explain as much.
+
+        On the way, what is tried for it would be for nothing.
+        """
+        at = self.at
+        if at.choice.is_open(at.fitted):
+            given = self.terms, self.objective, self._context.factored
+            unsure, taken = insides_may_do(*given)
+            self.at = at.spent(taken).progressed(replace(at.stage.progress, unsure=unsure))
 
     def _go_on_elsewhere(self, before: Mesh) -> None:
         """The surface was taken up again further in, or where the fit began."""

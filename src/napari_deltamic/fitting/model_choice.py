@@ -17,7 +17,6 @@ from .rival_structures import RULES as RIVALS
 from .rival_structures import (
     best_of,
     insides_alone,
-    insides_may_do,
     is_uneven,
     with_even_membranes,
     without_rim,
@@ -125,10 +124,7 @@ class ModelChoice:
             return found, taken, replace(progress, again=True, unsure=unsure)
         if self.is_open(fitted) and not progress.answered:  # once for each surface
             found, taken = self._at_rest(terms, objective, fitted, factored)
-            unsure, more = False, 0
-            if found is fitted:
-                unsure, more = insides_may_do(terms, objective, factored)
-            return found, taken + more, replace(progress, answered=True, unsure=unsure)
+            return found, taken, replace(progress, answered=True)
         return fitted, 0, progress
 
     @staticmethod

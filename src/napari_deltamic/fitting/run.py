@@ -129,11 +129,14 @@ class Run:
             if level.due and not self._context.upkeep.trying:
                 self._kept = self.checkpoint().saved()  # before the look: a resumed fit looks again
             finished = level.iterate(self._given_up)
-            last, state = level.at.last, level.state(self._kept)
+            last = level.at.last
             ended = (finished and last) or level.at.over
             following, cone = successor(self, finished) if ended and last else (None, False)
             ends = following is None and ended
-            change = yield self._told(replace(state, cone=cone), ends, finished and last)
+            if ends and finished and last:
+                level.look_back()
+            state = replace(level.state(self._kept), cone=cone)
+            change = yield self._told(state, ends, finished and last)
             if change is not None:
                 level.take(change)
             elif ends or finished:
