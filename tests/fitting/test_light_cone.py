@@ -273,14 +273,18 @@ def test_a_psf_narrower_than_voxels_tell_is_not_kept():
         assert said == ([] if kept else [NARROW])
 
 
-def after_steps(monkeypatch, confocal, widefield, spherical=0.0, widefield_at_first=0.99):
+def after_steps(
+    monkeypatch, confocal, widefield, spherical=0.0, widefield_at_first=0.99, wavelength=0.6
+):
     """What is found where the confocal PSF leaves 0.95 at first, and so much after the steps."""
 
     def posed(optics, left):
         run = resting(optics, left)
         return SimpleNamespace(fitted=run.fitted, left=left, posed=run.objective.posed)
 
-    end = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33, spherical=spherical), 0.56)
+    end = nd.ConfocalPSF(
+        nd.ScalarPSF(1.2, wavelength, 1.33, spherical=spherical), wavelength - 0.04
+    )
     of_widefield = nd.ScalarPSF(1.2, 0.6, 1.33, spherical=spherical)
     ends = {nd.ConfocalPSF: (end, confocal), nd.ScalarPSF: (of_widefield, widefield)}
     at_first = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: widefield_at_first}
@@ -294,9 +298,16 @@ def after_steps(monkeypatch, confocal, widefield, spherical=0.0, widefield_at_fi
         return posed(*ends[type(rival.fitted.optics)]), 7
 
     monkeypatch.setattr(f"{module}.stepped", stepped)
+    monkeypatch.setattr(f"{module}.few_cells", lambda *given: given)
     fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
     return (terms, fitted), objective_instead(terms, fitted, None)
+
+
+def test_an_objective_that_has_become_narrower_than_voxels_tell_is_not_followed(monkeypatch):
+    for wavelength, found in ((0.6, True), (0.25, False)):
+        _, (optics, _) = after_steps(monkeypatch, 0.8, 1.1, wavelength=wavelength)
+        assert (optics is not None) == found
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from ..optics import ConfocalPSF, GaussianPSF, Optics, ScalarPSF, microscope
 from ..optics.narrow import narrower_than_told
 from ..runs.scene_settings import SIGMA_IN_VOXELS
 from .amplitudes import may_shine
+from .few_cells import few_cells
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
 from .preconditioner import Preconditioners
@@ -128,6 +129,7 @@ def objective_instead(
     long_at_first = known and _roundness(about) <= RULES.told * roundest
     if not long_at_first and _roundness(fitted.optics.sigma_um) > roundest:
         return None, 0
+    terms, fitted, image = few_cells(terms, fitted, image)
     # One is let go before the other is posed, to save memory.
     of_widefield = share_left(_posed(widefield_of(about), terms, fitted), image)
     leads = share_left(_posed(confocal_of(about), terms, fitted), image) < of_widefield
@@ -140,7 +142,10 @@ def objective_instead(
             continue
         rival, more = _followed(_posed(made(about, 0.0), terms, fitted), image, enough)
         left, taken = share_left(rival, image), taken + more
-        if left < enough:
+        # A fit that went on with one too narrow would come back. Measured on real nuclei: 0.38
+        # voxel wide after these steps, and given up after 40 iterations.
+        narrow = narrower_than_told(rival.fitted.optics.sigma_um, terms.level.grid.voxel_size)
+        if left < enough and not narrow:
             found, enough = made(about, _where_to_begin(rival.fitted.optics)), left
         del rival
     return found, taken
