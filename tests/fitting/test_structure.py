@@ -1,6 +1,7 @@
 """What shines is found with the shape."""
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -48,6 +49,12 @@ def fitted(image: np.ndarray, **settings: object) -> nd.fitting.FitState:
     return last
 
 
+@cache
+def fitted_to(light: Light) -> nd.fitting.FitState:
+    """Of settings as they are by default; several tests go on from it."""
+    return fitted(image_of(light))
+
+
 @pytest.mark.parametrize(
     ("light", "name"),
     [
@@ -58,7 +65,7 @@ def fitted(image: np.ndarray, **settings: object) -> nd.fitting.FitState:
     ],
 )
 def test_what_shines_is_found_with_the_shape(light: Light, name: str) -> None:
-    last = fitted(image_of(light))
+    last = fitted_to(light)
     assert structure_of(last.light) == name
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.02
     if name == "both":
@@ -70,7 +77,7 @@ def test_what_shines_is_found_with_the_shape(light: Light, name: str) -> None:
 @pytest.mark.parametrize(("light", "asked"), [(MEMBRANES, "membrane"), (Light(1.0, 1.5), "both")])
 def test_of_many_voxels_some_are_asked(light: Light, asked: str, monkeypatch) -> None:
     image = image_of(light)
-    last = replace(fitted(image), light=Light(1.0, 1.0))
+    last = replace(fitted_to(light), light=Light(1.0, 1.0))
     posed = posed_at(image, GRID, last, FitSettings())
     given = posed.posterior, posed.at, posed.posterior(posed.at), last.mesh
     voxels = posed.posterior.views[0].voxels.index.numpy()
@@ -95,7 +102,7 @@ def test_of_many_voxels_some_are_asked(light: Light, asked: str, monkeypatch) ->
 def test_an_inside_that_is_dimmer_than_the_membrane_does_not_outshine_it(light, name, monkeypatch):
     """However many standard errors it differs from 0 by, and an uneven membrane does not."""
     image = image_of(light)
-    last = replace(fitted(image), light=Light(1.0, 1.0))
+    last = replace(fitted_to(light), light=Light(1.0, 1.0))
     posed = posed_at(image, GRID, last, FitSettings())
     given = posed.posterior, posed.at, posed.posterior(posed.at), last.mesh
     found = structure_choice.Told(0.7, 1.0), structure_choice.Told(-9.0, 1.0)

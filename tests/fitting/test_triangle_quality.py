@@ -33,10 +33,20 @@ def ends(states):
     return last
 
 
-def test_slivers_go_and_the_fit_converges(image):
+@pytest.fixture(scope="module")
+def remeshed(image, tmp_path_factory):
+    """The states of a fit whose slivers go, and a checkpoint of it."""
+    states, kept = [], tmp_path_factory.mktemp("remeshed") / "kept.npz"
+    for state in fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS):
+        if state.iteration == 45:
+            state.save(kept)
+        states.append(state)
+    return states, kept
+
+
+def test_slivers_go_and_the_fit_converges(remeshed):
     start = squeezed()
-    states = list(fit(image, GRID, start, OPTICS, settings=SETTINGS))
-    last = states[-1]
+    last = remeshed[0][-1]
     assert (smallest_angles(start) < 15).mean() > 0.02
     assert (smallest_angles(last.mesh) < 15).mean() < 0.02
     assert last.converged
@@ -74,12 +84,8 @@ def test_pinned_vertices_stay_and_are_told(image):
     assert there <= {tuple(v) for v in last.mesh.vertices_numpy()[last.pinned]}
 
 
-def test_a_resumed_fit_ends_as_the_other(image, tmp_path):
-    states, kept = [], tmp_path / "kept.npz"
-    for state in fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS):
-        if state.iteration == 45:
-            state.save(kept)
-        states.append(state)
+def test_a_resumed_fit_ends_as_the_other(image, remeshed):
+    states, kept = remeshed
     again = ends(fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS, resume=kept))
     assert again.iteration == states[-1].iteration
     np.testing.assert_array_equal(again.mesh.faces, states[-1].mesh.faces)

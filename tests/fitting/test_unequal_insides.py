@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -46,9 +47,15 @@ def fitted(image, start=None, **settings):
     return last
 
 
+@cache
+def states_of(light):
+    """Of a fit that several tests look at."""
+    return list(fit(image_of(light), GRID, two(7.0), OPTICS, settings=SETTINGS))
+
+
 @pytest.mark.parametrize(("light", "ratio"), [(DIM, 0.3), (BOTH, 0.25)], ids=["nuclei", "both"])
 def test_a_dim_cell_is_as_large_as_a_bright_one(light, ratio):
-    last = fitted(image_of(light))
+    last = states_of(light)[-1]
     assert surface_distance(last.mesh, two(8.0, 1.2)).mean < 0.12
     one, other = last.light.of_cells([1, 2])
     assert other / one == pytest.approx(ratio, rel=0.12)
@@ -112,7 +119,7 @@ def test_numbers_belong_to_regions_by_name():
 
 
 def posed(light=BOTH):
-    last = fitted(image_of(light))
+    last = states_of(light)[-1]
     return posed_at(image_of(light), GRID, last, SETTINGS)
 
 
@@ -156,7 +163,7 @@ def test_the_prior_is_that_of_its_gradient_and_weak():
 
 def test_a_fit_goes_on_from_a_checkpoint_with_its_insides(tmp_path):
     image = image_of(DIM)
-    states = list(fit(image, GRID, two(7.0), OPTICS, settings=SETTINGS))
+    states = states_of(DIM)
     middle = states[len(states) // 2]
     middle.save(tmp_path / "kept.npz")
     resumed = fit(image, GRID, two(7.0), OPTICS, settings=SETTINGS, resume=tmp_path / "kept.npz")
