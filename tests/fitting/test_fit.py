@@ -57,7 +57,7 @@ def test_anisotropic_voxels_and_an_origin():
     truth = sphere(center, (1.0, 0.75, 0.85), subdivisions=5)
     image = measured(grid, truth, optics)
     last = fitted(
-        image, sphere(np.add(center, (0.2, 0.1, -0.1)), 0.7, subdivisions=3), grid, optics
+        image, sphere(np.add(center, (0.2, 0.1, -0.1)), 0.7, subdivisions=2), grid, optics
     )
     assert last.converged
     assert apart(last.mesh, truth) < 0.1
@@ -137,8 +137,9 @@ def test_the_start_is_not_moved(image):
 
 @pytest.mark.parametrize("accuracy", [0, 1e-5])
 def test_double_precision(image, accuracy):
-    last = fitted(image, start(1), settings=SHORT, accuracy=accuracy)
-    assert last.iteration == 12
+    settings = FitSettings(levels=(1.0,), max_iterations=3)  # exact sums are slow
+    last = fitted(image, start(1), settings=settings, accuracy=accuracy)
+    assert last.iteration == 3
 
 
 @pytest.mark.parametrize("accuracy", [-1, 1, 2, float("nan")])
@@ -173,7 +174,7 @@ def test_one_and_two_threads_agree(states, image):
     try:
         for n in (1, 2):
             torch.set_num_threads(n)
-            ends.append(fitted(image, start(2), settings=FitSettings(max_iterations=60)))
+            ends.append(fitted(image, start(2), settings=FitSettings(max_iterations=30)))
     finally:
         torch.set_num_threads(threads)
     one, two = ends
