@@ -216,6 +216,25 @@ def test_the_surface_of_a_fit_is_there_at_its_time_only(widget, viewer, spin):
     assert not surface.visible
 
 
+def test_a_result_tells_its_time_and_leads_back_to_it(widget, viewer, spin):
+    viewer.dims.set_current_step(0, 1)
+    widget.start()
+    spin(lambda: bool(widget.running.grade.text()), 60)
+    check, results = widget.running, widget.results
+    assert check.title() == "4  Check, time 1"
+    assert results.title() == "5  Results, time 1"
+    assert check.away_row.isHidden()
+    viewer.dims.set_current_step(0, 3)
+    assert not check.away_row.isHidden()
+    assert check.away.text() == "This is of time 1, not of the time shown."
+    check.away_go.click()
+    assert viewer.dims.current_step[0] == 1
+    assert check.away_row.isHidden()
+    viewer.dims.set_current_step(0, 2)
+    results.table.selectRow(0)
+    assert viewer.dims.current_step[0] == 1, "a row goes to its cell, which is of one time"
+
+
 def test_a_surface_of_several_times_is_no_mesh_file(tmp_path):
     vertices, faces = np.random.default_rng(0).random((6, 4)), [[0, 1, 2], [3, 4, 5]]
     vertices[:, 0] = [0, 0, 0, 1, 1, 1]

@@ -134,6 +134,7 @@ class ResultsPanel(QGroupBox):
         if record is None or record.state is None:
             self._shown_of = None
             return
+        self.setTitle(record.link.with_time("5  Results"))
         key = (record.state, record.judged)
         if key != self._shown_of:
             self._shown_of = key

@@ -27,6 +27,7 @@ from .sculpt_tool import EditBar
 from .worker import Snapshot
 
 _SLICES = {"XY": (0, 1, 2), "XZ": (1, 0, 2), "YZ": (2, 0, 1)}
+_TITLE = "4  Check"
 _MOST_POINTS = 400  # points drawn
 _OVER_CURVE = 18  # px above the plot
 _CURVE = ("#ffb000", "#a35f00")  # on dark, and on light
@@ -38,11 +39,13 @@ class CheckPanel(QGroupBox):
     fit_again = Signal()  # with all that a fit can estimate
 
     def __init__(self, doc: Document, edits: Edits, control: Any, parent: QWidget) -> None:
-        super().__init__("4  Check", parent)
+        super().__init__(_TITLE, parent)
         self._doc = doc
         self._note_of: Any = None  # the image that the note is about
         self._seen: list[float] | None = None  # where the view was that the note speaks of
         self._offset = 0  # iterations of the runs before the present one
+        self.away, self.away_row = Note(self, "fair"), QWidget(self)
+        self.away_go = button("Go there", "", self._go_to_time, self)
         self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
         tip = "Go to where the image differs most from the rendered one."
         self.worst = button("Worst place", tip, self.go_to_worst, self)
@@ -104,6 +107,17 @@ class CheckPanel(QGroupBox):
             )
             self._seen = self._middle()
 
+    def _go_to_time(self) -> None:
+        if self._doc.link is not None:
+            self._doc.link.go_to_time()
+
+    def _show_time(self, event: Any = None) -> None:
+        """Of which time it is what is said here, where the image shown is of another."""
+        link = None if self.edit.isHidden() else self._doc.link
+        time = "" if link is None or link.at_time else link.time_in_words
+        self.away.say(f"This is of {time}, not of the time shown." if time else "")
+        self.away_row.setVisible(bool(time))
+
     def _middle(self) -> list[float]:
         """Where the view looks: the slices shown, and the middle of the axes that it spans."""
         dims = self._doc.viewer.dims
@@ -124,6 +138,7 @@ class CheckPanel(QGroupBox):
         self.view.currentTextChanged.connect(doc.look)
         self.slice.activated.connect(self._turn)
         doc.listen(doc.viewer.dims.events.point, self._view_moved)
+        doc.listen(doc.viewer.dims.events.current_step, self._show_time)
         doc.listen(camera_of(doc.viewer).events.center, self._view_moved)
         self.history.moment_chosen.connect(self._look_at)
         doc.noted.connect(self.tell)
@@ -154,6 +169,8 @@ class CheckPanel(QGroupBox):
         shown = known and doc.in_sight
         for part in (self.curve, self._looks, self.edit, self.history):
             part.setVisible(shown)
+        self.setTitle(record.link.with_time(_TITLE) if record is not None and shown else _TITLE)
+        self._show_time()
         if ended is not None and ended.state is not None:
             history = ended.history
             self.curve.show_losses(history.loss, history.level, history.first)
@@ -232,9 +249,10 @@ class CheckPanel(QGroupBox):
     def _lay_out(self) -> None:
         self._looks = QWidget(self)
         row(QLabel("show", self), (self.view, 2), (self.slice, 1), of=self._looks)
+        row((self.away, 1), self.away_go, of=self.away_row)
         row((self.stray, 1), self.stray_go, self.stray_add, of=self.stray_row)
         ended = row((self.verdict, 1), self.worst)
-        said = self.grade, self.again, ended, self.note, self.remarks, self.stray_row
+        said = self.away_row, self.grade, self.again, ended, self.note, self.remarks, self.stray_row
         shown = self._looks, self.curve, self.history, self.edit, self.numbers
         filled(QVBoxLayout(self), *said, *shown)
 

@@ -82,6 +82,15 @@ class MeshLayers:
         return not self.time or tuple(self.viewer.dims.current_step[:-3]) == self.time
 
     @property
+    def time_in_words(self) -> str:
+        """Of which time the meshes are, as the slider counts; '' of an image without times."""
+        return f"time {self.time[-1]}" if self.time else ""
+
+    def with_time(self, title: str) -> str:
+        """A title that says of which time its contents are."""
+        return ", ".join(filter(None, (title, self.time_in_words)))
+
+    @property
     def colours(self) -> Mapping[int, int]:
         """Places in the palette of the regions shown; see ``colour_indices``."""
         return self.contours.colours

@@ -116,12 +116,17 @@ class ViewerLink(MeshLayers):
         return [*super().made(), self.rendered, self.residual, self._pins.layer]
 
     def go_to(self, center: Sequence[float]) -> None:
-        """Move slices and camera to a place, um in the frame."""
+        """Move slices and camera to a place, um in the frame, at the time of the meshes."""
         if not np.isfinite(center).all():
             return
+        self.go_to_time()
         world = self.frame.to_world(center).tolist()
         go_to(self.viewer, world)
         camera_of(self.viewer).center = tuple(world)
+
+    def go_to_time(self) -> None:
+        """Move the slider of time to that of the meshes."""
+        self.viewer.dims.set_current_step(range(len(self.time)), self.time)
 
     def slice_changed(self, event: Any = None) -> None:
         super().slice_changed(event)
