@@ -28,6 +28,15 @@ def mixture(make_widget, with_image, ball_labels, monkeypatch, tmp_path):
     return widget
 
 
+@pytest.fixture
+def asked(mixture, monkeypatch):
+    """What a dialog for folders was asked with, which is left without a choice."""
+    calls = []
+    dialog = staticmethod(lambda *given: calls.append(given) or "")
+    monkeypatch.setattr(more_actions.QFileDialog, "getExistingDirectory", dialog)
+    return calls
+
+
 def test_membranes_are_found_in_the_background(mixture, told, spin, monkeypatch, tmp_path):
     threads, find = [], seeds.seeds_from_points
 
@@ -57,13 +66,7 @@ def test_what_fails_is_told(mixture, with_image, told, spin):
     assert told[-1] == mixture.running.note.text() != ""
 
 
-def test_closing_asks_nobody_any_more(mixture, told, spin, monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        more_actions.QFileDialog,
-        "getExistingDirectory",
-        staticmethod(lambda *a: asked.append(a) or ""),
-    )
+def test_closing_asks_nobody_any_more(mixture, told, spin, asked):
     mixture.commands.copy_action.trigger()
     mixture.close_links()
     spin(seconds=0.2, must=False)
@@ -97,13 +100,7 @@ def test_a_folder_takes_the_accuracy_of_each_stack(mixture, tmp_path, choice, gi
     assert (("--shape-error", choice) in pairwise(words)) == named
 
 
-def test_no_folder_is_asked_for_without_an_image(mixture, with_image, told, monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        more_actions.QFileDialog,
-        "getExistingDirectory",
-        staticmethod(lambda *a: asked.append(a) or ""),
-    )
+def test_no_folder_is_asked_for_without_an_image(mixture, with_image, told, asked):
     with_image.layers.remove("cell")
     mixture.commands.folder_action.trigger()
     assert "3D image" in told[-1]
