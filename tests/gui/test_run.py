@@ -2,6 +2,7 @@
 
 import gc
 import shlex
+import threading
 import weakref
 from dataclasses import replace
 
@@ -15,7 +16,9 @@ from napari_deltamic.cli.messages import Notes
 from napari_deltamic.errors import DoubtWarning, InputError
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
+from napari_deltamic.geometry.labels.bright_cells import CellsFound
 from napari_deltamic.gui.running import worker
+from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.measure import measure_cells
 from napari_deltamic.results.session_file import load_session
 from napari_deltamic.runs.command import command
@@ -23,6 +26,7 @@ from napari_deltamic.runs.run_files import with_files
 
 from .conftest import CENTER, SIZE
 from .interacting import pause, went_on
+from .seeding import PLACE
 from .sessions import save
 
 VOLUME = 4 / 3 * np.pi * 1.2 * 1.1 * 1.1
@@ -231,6 +235,34 @@ def test_what_is_missing_is_said(make_widget, with_image, told):
     widget.start()
     assert "image" in told[-1]
     assert widget.doc.run is None
+
+
+def test_a_fit_waits_for_the_cells_that_are_looked_for(
+    make_widget, with_image, told, spin, monkeypatch, ball_labels
+):
+    gate, widget = threading.Event(), make_widget()
+
+    def look(*given):
+        assert gate.wait(20)
+        return CellsFound(ball_labels.astype(np.int32), 1.0, False)
+
+    monkeypatch.setattr(find_cells_button, "look", look)
+    for again in (False, True):  # cells that are to be replaced are not fitted either
+        gate.clear()
+        widget.seeds.find_cells.click()
+        widget.start()
+        assert "'Find cells' is still looking" in told[-1]
+        assert widget.doc.run is None
+        gate.set()
+        spin(lambda: not widget.seeds.find_cells.background.busy)
+        spin(lambda: not widget.footer.reason.text())
+        assert widget.doc.cells.ticked, again
+    gate.clear()
+    widget.seeds.find_cells.click()
+    widget.seeds.cells.choose(with_image.layers["found cells"], ticked=False)
+    with_image.add_labels(ball_labels, name="own", **PLACE)
+    assert widget.doc.cells.seeds(widget.doc.image.frame())
+    gate.set()
 
 
 def test_why_a_fit_did_not_start_goes_when_it_could(make_widget, with_image, told, spin, pixels):

@@ -201,7 +201,8 @@ class CellSource(LayerTicks):
 
     def __init__(self, viewer: Any, image: ImageSource) -> None:
         self._image = image
-        self.spheres = False
+        self.spheres = self._awaited = False
+        self._renewed: Any = None
         self.preview_mesh: Mesh | None = None
         super().__init__(viewer, is_seeds)
 
@@ -213,8 +214,14 @@ class CellSource(LayerTicks):
         """Whether points are to be spheres."""
         self.spheres = on
 
+    def wait_for(self, awaited: bool, renewed: Any) -> None:
+        """Whether cells are being looked for; they will replace those in a layer, or are new."""
+        self._awaited, self._renewed = awaited, renewed
+
     def seeds(self, frame: Frame, *, copied: bool = True) -> Seeds:
         """The seeds. InputError where there are none, or they cannot be used."""
+        if self._awaited and (not self.ticked or self._renewed in self.ticked):
+            raise InputError("'Find cells' is still looking: wait until it has found them")
         if not self.ticked:
             raise InputError(
                 "no cells yet: press 'Find cells', or 'Click cells' and click inside each"
@@ -224,6 +231,11 @@ class CellSource(LayerTicks):
         # Where all are empty, the first of them says so itself.
         chosen = filled or self.ticked[:1]
         return mixed([self._of(layer, frame, copied=copied) for layer in chosen])
+
+    def close_links(self) -> None:
+        """Listen to the viewer no more, and let its layers go."""
+        super().close_links()
+        self._renewed = None
 
     def points_layers(self) -> list[Any]:
         return [layer for layer in self.ticked if isinstance(layer, Points)]

@@ -165,6 +165,7 @@ class FindCells(QPushButton):
     def _tell(self, message: str, others: Sequence[tuple[float, int]] = ()) -> None:
         self._refused = False
         self.message, self.others = message, others
+        self._cells.wait_for(self.background.busy, self._layer)
         self.told.emit()
 
     def _note_move(self, value: float) -> None:

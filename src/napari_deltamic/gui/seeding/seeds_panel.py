@@ -161,6 +161,7 @@ class SeedsPanel(QGroupBox):
 
     def _connect(self) -> None:
         self.find_cells.told.connect(self._show)
+        self.find_cells.told.connect(self._doc.cells_changed.emit)
         self.cells.chosen.connect(self._layers_chosen)
         self.corrections.edited.connect(self.find_cells.edited)
         self.corrections.edited.connect(self._show_soon)
