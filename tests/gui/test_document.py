@@ -94,6 +94,29 @@ def test_seeds_are_those_of_the_region(doc, with_image, ball_labels):
     np.testing.assert_allclose(found.points, [np.subtract(CENTER, first)])
 
 
+def test_cells_beside_the_region_are_told_before_a_fit(doc, with_image, pixels):
+    labels = np.zeros(SHAPE, int)
+    labels[4:8, 2:6, 2:6], labels[4:8, 8:14, 8:14], labels[4:8, 18:22, 18:22] = 1, 2, 3
+    layer = with_image.add_labels(labels, name="found", **PLACE)
+    scale = {**PLACE, "scale": (1, 1, 1)}
+    with_image.add_points([CENTER, (2.9, 0.1, 0.1)], name="clicks", **scale)
+    assert doc.cells.remarks(()) == []
+    doc.image.take_region(((0, 20), (4, 20), (4, 24)))
+    told = [remark.text for remark in doc.cells.remarks(())]
+    assert told[0] == "Of 3 cells of 'found', 2 are cut by the border of the region"
+    assert told[1].startswith("Of 2 points of 'clicks', 1 lies beyond the border of the region")
+    doc.image.take_region(((0, 20), (7, 20), (4, 24)))
+    assert doc.cells.remarks(())[0].text == (
+        "Of 3 cells of 'found', 1 lies beyond the border of the region, and will not be fitted; "
+        "1 is cut by it"
+    )
+    doc.cells.choose(layer, ticked=False)
+    # Cells that were looked for in the region lie in it.
+    place = {**PLACE, "translate": doc.image.frame().translate}
+    with_image.add_labels(labels[:, 7:20, 4:24], name="found there", **place)
+    assert not any("found" in remark.text for remark in doc.cells.remarks(()))
+
+
 class Waits(Task):
     """Goes on until it is stopped."""
 

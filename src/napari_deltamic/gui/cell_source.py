@@ -14,7 +14,13 @@ from scipy.ndimage import affine_transform
 
 from ..errors import InputError
 from ..geometry import Mesh
-from ..runs.seed_checks import PointSet, Remark, all_remarks
+from ..runs.seed_checks import (
+    PointSet,
+    Remark,
+    all_remarks,
+    beside_region,
+    labels_beside_region,
+)
 from ..runs.seed_preview import Problem
 from ..runs.seeds import LabelSeeds, MeshSeeds, PointSeeds, Seeds, mixed
 from .image_source import ImageSource
@@ -139,16 +145,25 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
     if lost:
         raise InputError(f"layer '{layer.name}': point {lost} has no position (nan): delete it")
     scale, shift = frame.data_to_um(layer)
-    points = data[:, -3:] * scale + shift
-    if frame.shape is not None:  # points beside the region belong to other cells
-        places = np.floor(points / frame.voxel_size + 0.5)
-        shown &= ((places >= 0) & (places < frame.shape)).all(axis=1)
-        if not shown.any():
-            raise InputError(f"layer '{layer.name}' has no points in the region that is fitted")
-    points, radii = points[shown], None
+    shown = np.logical_and(
+        shown, in_region(layer, data, frame)
+    )  # those beside it belong to other cells
+    if not shown.any():
+        raise InputError(f"layer '{layer.name}' has no points in the region that is fitted")
+    points, radii = data[shown, -3:] * scale + shift, None
     if spheres:
         radii = np.asarray(layer.size, float)[shown] / 2 * float(np.mean(np.abs(scale)))
     return PointSeeds(points, radii)
+
+
+def in_region(layer: Any, data: NDArray[Any], frame: Frame) -> NDArray[np.bool_]:
+    """(n,) which rows of coordinates of a layer lie in the region of a frame, if it has one."""
+    if frame.shape is None:
+        return np.ones(len(data), bool)
+    scale, shift = frame.data_to_um(layer)
+    places = np.floor((data[:, -3:] * scale + shift) / frame.voxel_size + 0.5)
+    inside: NDArray[np.bool_] = ((places >= 0) & (places < frame.shape)).all(axis=1)
+    return inside
 
 
 def _labels(
@@ -267,7 +282,24 @@ class CellSource(LayerTicks):
                     assert isinstance(seeds, LabelSeeds)
                     labels.append((layer, seeds.labels))
         known = all_remarks(self._point_sets(frame), labels, shape, frame.voxel_size, problems)
-        return self._placeless() + known
+        return self._placeless() + self._beside(frame) + known
+
+    def _beside(self, frame: Frame) -> list[Remark]:
+        """Cells that are left out, or cut, as only a region is fitted."""
+        found: list[Remark] = []
+        for layer in self.ticked if frame.box is not None else ():
+            if isinstance(layer, Labels):
+                labels = stack_of(layer, tuple(self._viewer.dims.current_step))
+                box = frame.region(layer, labels.shape) if labels.ndim == 3 else None
+                found += labels_beside_region(layer.name, labels, box) if box else []
+            elif isinstance(layer, Points):
+                points = np.asarray(layer.data, float)
+                points = points[at_time(layer, points, self._point())]
+                inside = in_region(layer, points, frame)
+                found += beside_region(
+                    f"points of '{layer.name}'", len(points), int((~inside).sum())
+                )
+        return found
 
     def _placeless(self) -> list[Remark]:
         """Points that lie nowhere; their layers cannot be used before these are gone."""

@@ -124,6 +124,39 @@ def in_labels(
     return remarks
 
 
+def beside_region(of: str, numbers: int, lost: int, cut: int = 0) -> list[Remark]:
+    """Cells beside the region that is fitted, or cut by its border.
+
+    of : what they are, and whose: "cells of 'found cells'".
+    numbers : how many there are in all.
+    """
+    edge = "the border of the region"
+    told = [
+        f"{lost} {'lies' if lost == 1 else 'lie'} beyond {edge}, and will not be fitted"
+        * (lost > 0),
+        f"{cut} {'is' if cut == 1 else 'are'} cut by {'it' if lost else edge}" * (cut > 0),
+    ]
+    return [Remark(f"Of {numbers} {of}, {'; '.join(filter(None, told))}")] if any(told) else []
+
+
+def labels_beside_region(name: str, labels: NDArray[Any], box: tuple[slice, ...]) -> list[Remark]:
+    """The same of labels of all the image, of which a box is fitted."""
+    beside = labels.copy()
+    beside[box] = 0
+    numbers, kept = numbers_in(labels), numbers_in(labels[box])
+    cut = len(np.intersect1d(kept, numbers_in(beside)))
+    return beside_region(f"cells of '{name}'", len(numbers), len(numbers) - len(kept), cut)
+
+
+def numbers_in(labels: NDArray[Any]) -> NDArray[np.int64]:
+    """The labels that there are, however large their numbers; without 0."""
+    if labels.max(initial=0) > labels.size:
+        numbers = np.unique(labels).astype(np.int64)
+        return numbers[numbers > 0]
+    # Which is faster, but takes memory by the largest number.
+    return np.flatnonzero(np.bincount(labels.ravel().clip(0).astype(np.intp))[1:]) + 1
+
+
 def of_engine(sets: Sequence[PointSet], message: str, numbers: Sequence[int]) -> Remark | None:
     """What the engine says of points that it numbers from 1 over all sets.
 

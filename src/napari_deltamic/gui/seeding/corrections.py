@@ -19,6 +19,7 @@ from ...common.words import counted
 from ...errors import InputError
 from ...geometry import Click
 from ...geometry.labels.label_edits import Action, Corrector
+from ...runs.seed_checks import numbers_in
 from ...runs.seeds import LabelSeeds
 from ..cell_source import seeds_from_layer
 from ..document import Document
@@ -86,7 +87,7 @@ class Corrections(QObject):
             self._listen(layer)
             self.bar.explain()
         in_use = self.bar.tool is not None
-        self.count.say(counted(cells_in(np.asarray(layer.data)), "cell") if in_use else "")
+        self.count.say(counted(len(numbers_in(np.asarray(layer.data))), "cell") if in_use else "")
 
     def click(self, place: FloatArray) -> None:
         """Use the tool at a place, um in the image's frame."""
@@ -226,14 +227,6 @@ def _put(layer: Any, labels: NDArray[np.int32], where: NDArray[np.bool_]) -> Non
     if not fits:  # a file, or a kind of number that is too small
         layer.data = np.array(data, np.int32)
     layer.data_setitem(np.nonzero(where), labels[where])
-
-
-def cells_in(labels: NDArray[Any]) -> int:
-    """How many labels there are, however large their numbers."""
-    if labels.max(initial=0) > labels.size:
-        return int((np.unique(labels) > 0).sum())
-    # Which is faster, but takes memory by the largest number.
-    return int((np.bincount(labels.ravel().clip(0).astype(np.intp))[1:] > 0).sum())
 
 
 def middle_on_ray(layer: Any, event: Any, frame: Frame) -> FloatArray | None:

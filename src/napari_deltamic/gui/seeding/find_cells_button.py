@@ -16,6 +16,7 @@ from ...common.words import counted
 from ...errors import InputError
 from ...evidence.tilted_ground import with_ground
 from ...fitting.job import levelled
+from ...runs.seed_checks import numbers_in
 from ...runs.settings import SceneSettings
 from ...scene import Grid
 from ..document import Document
@@ -23,7 +24,6 @@ from ..layer_channels import of_one_stack
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
 from ..widgets import Signal, sentence, slider
-from .corrections import cells_in
 
 NAME = "found cells"
 _OTHERS = 3  # sizes that are offered besides the one used, at most
@@ -107,7 +107,7 @@ class FindCells(QPushButton):
         layer = self._layer
         if layer is not None and layer in self._viewer.layers:
             layer.colormap = label_colormap(layer.data)
-            self._tell(f"{counted(cells_in(layer.data), 'cell')}.", self.others)
+            self._tell(f"{counted(len(numbers_in(layer.data)), 'cell')}.", self.others)
 
     def find_with(self, size: float | str) -> None:
         self._set_size(float(size))
@@ -127,7 +127,7 @@ class FindCells(QPushButton):
             self._sizes = [(size, 0), *others]
         layer, self._found_in = self._layer_for(frame, labels), image_layer
         others = [(s, k) for s, k in self._sizes if abs(s / size - 1) > _SAME]
-        found = counted(cells_in(labels), "cell")
+        found = counted(len(numbers_in(labels)), "cell")
         self._tell(f"Found {found} of about {size:.3g} {frame.length}.", others)
         self._cells.choose(layer)
 
