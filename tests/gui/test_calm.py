@@ -1,8 +1,11 @@
 """What a first user sees: a narrow column with what is needed now, and nothing over the meshes."""
 
+import re
+
 import numpy as np
 import pytest
 from qtpy.QtCore import Qt
+from qtpy.QtGui import QAction
 from qtpy.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QPushButton, QSlider, QWidget
 
 from napari_deltamic.geometry.labels.bright_cells import CellsFound
@@ -117,3 +120,7 @@ def test_every_field_has_a_tooltip_and_takes_the_keyboard(make_widget):
             around.append(around[-1].parentWidget())
         assert any(one.toolTip() for one in around), field
         assert field.focusPolicy() != Qt.FocusPolicy.NoFocus, field
+    actions, table = widget.findChildren(QAction), widget.results.table
+    headers = [table.horizontalHeaderItem(number) for number in range(table.columnCount())]
+    for one in (*widget.findChildren(QWidget), *actions, *headers):
+        assert not re.search(r"\bum\b", one.toolTip()), one.toolTip()

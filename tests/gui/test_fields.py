@@ -23,7 +23,7 @@ def test_every_setting_of_a_fit_is_in_the_window_once(make_widget):
     assert sorted([*names, "accuracy", "shape_error"]) == sorted(described(FitSettings))
     for name, found in described(FitSettings).items():
         if name not in ("accuracy", "shape_error"):
-            assert found.sentence in fields_of(widget)[name].toolTip()
+            assert for_window(found.sentence) in fields_of(widget)[name].toolTip()
             assert fields_of(widget)[name].accessibleName() == for_window(found.label)
 
 

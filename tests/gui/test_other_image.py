@@ -132,10 +132,12 @@ def test_lengths_are_in_voxels_where_nobody_knows_their_size(app, viewer, spin, 
     assert widget.seeds.find_cells.message == "Found 1 cell of about 9 voxels."
     spin(lambda: "voxels" in widget.seeds.note.text())
     assert "2 cells of 3 voxels</a>" in widget.seeds.note.text()
-    frame = widget.doc.image.frame()
+    frame, size = widget.doc.image.frame(), widget.seeds.find_cells.cell_size
     assert frame.length == "voxels"
+    assert widget.seeds._form.labelForField(size).text() == "size, voxels"
     widget.doc.image.rescale((0.3, 0.2, 0.2))
     assert widget.doc.image.frame().length == "µm"
+    spin(lambda: widget.seeds._form.labelForField(size).text() == "size, µm")
     widget.close_links()
 
 

@@ -253,6 +253,14 @@ def test_sorting_is_by_number_and_keeps_what_is_chosen(table):
     assert table.chosen_regions() == (9,)
 
 
+def test_titles_are_in_voxels_where_nobody_knows_their_size(table):
+    assert table.horizontalHeaderItem(1).text() == "volume\nµm³"
+    table.show_rows(measure_cells(cells()), length="voxels")
+    assert table.horizontalHeaderItem(1).text() == "volume\nvoxels³"
+    assert "area, voxels²" in table.as_text().splitlines()[0]
+    assert not any("µm" in column.name for column in table.known_columns())
+
+
 def test_rows_chosen_by_hand_are_told_in_order(table):
     table.selectRow(1)
     assert table.told == [((5,), True)]

@@ -39,6 +39,7 @@ def contrast(one, other):
         ("also (try --structure both)", "also (try both for 'what is labelled')"),
         ("no (try --nonesuch both); (try it)", "no; (try it)"),
         ("of about 2 um were found, 3 umbrellas", "of about 2 µm were found, 3 umbrellas"),
+        ("1 per um^2, 2 um^3", "1 per µm², 2 µm³"),
         ("one of two (or both)", "one of two (or both)"),
     ],
 )

@@ -145,9 +145,7 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
     if lost:
         raise InputError(f"layer '{layer.name}': point {lost} has no position (nan): delete it")
     scale, shift = frame.data_to_um(layer)
-    shown = np.logical_and(
-        shown, in_region(layer, data, frame)
-    )  # those beside it belong to other cells
+    shown &= in_region(layer, data, frame)  # points beside it belong to other cells
     if not shown.any():
         raise InputError(f"layer '{layer.name}' has no points in the region that is fitted")
     points, radii = data[shown, -3:] * scale + shift, None
@@ -162,8 +160,7 @@ def in_region(layer: Any, data: NDArray[Any], frame: Frame) -> NDArray[np.bool_]
         return np.ones(len(data), bool)
     scale, shift = frame.data_to_um(layer)
     places = np.floor((data[:, -3:] * scale + shift) / frame.voxel_size + 0.5)
-    inside: NDArray[np.bool_] = ((places >= 0) & (places < frame.shape)).all(axis=1)
-    return inside
+    return np.asarray(((places >= 0) & (places < frame.shape)).all(axis=1))
 
 
 def _labels(

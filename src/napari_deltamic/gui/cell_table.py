@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,10 +19,17 @@ from qtpy.QtWidgets import (
 from superqt.utils import signals_blocked
 
 from ..common.triple import Triple, triple
-from ..results.cell_columns import COLUMNS, FIRST, CellColumn, is_number, value_of
+from ..results.cell_columns import (
+    COLUMNS,
+    FIRST,
+    CellColumn,
+    columns_in,
+    is_number,
+    value_of,
+)
 from ..results.colouring import colour_of
 from .widgets import Signal, be_table_of_rows
-from .window_words import for_window
+from .window_words import as_tip, for_window
 
 _REGION = Qt.ItemDataRole.UserRole
 _OPEN = "The surface of this cell is not closed, or inside out."
@@ -42,6 +49,7 @@ class CellTable(QTableWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, len(COLUMNS), parent)
         self._rows: dict[int, dict[str, Any]] = {}
+        self.columns: Sequence[CellColumn] = COLUMNS  # as they are titled
         self._colours: Mapping[int, int] = {}
         self._told: tuple[int, ...] = ()
         self._wanted = set(FIRST)  # columns, by key; those without values are not shown
@@ -71,7 +79,9 @@ class CellTable(QTableWidget):
 
     def known_columns(self) -> list[CellColumn]:
         """Those in which a cell has something."""
-        return [c for c in COLUMNS if any(value_of(row, c.key) is not None for row in self.rows)]
+        return [
+            c for c in self.columns if any(value_of(row, c.key) is not None for row in self.rows)
+        ]
 
     def numbers(self, key: str) -> dict[int, float]:
         """A column of numbers, by region; without the cells that have none."""
@@ -91,16 +101,24 @@ class CellTable(QTableWidget):
             action: Any = menu.addAction(column.name)
             action.setCheckable(True)
             action.setChecked(column.key in self._wanted)
-            action.setToolTip(column.tip)
+            action.setToolTip(for_window(column.tip))
             action.toggled.connect(partial(self.show_column, column.key))
 
     def show_rows(
-        self, rows: Collection[Mapping[str, Any]], colours: Mapping[int, int] | None = None
+        self,
+        rows: Collection[Mapping[str, Any]],
+        colours: Mapping[int, int] | None = None,
+        length: str = "µm",
     ) -> None:
         """Show measurements, as from ``measure_cells``; cells that are still there stay chosen.
 
         colours : of the cells, see ``colour_indices``; None: as they were.
+        length : what lengths are in.
         """
+        self.columns = columns_in(length)
+        for number, column in enumerate(self.columns):
+            header: Any = self.horizontalHeaderItem(number)
+            header.setText(column.title)
         self._colours = self._colours if colours is None else colours
         before = self.chosen_regions()
         self._rows = {int(row["region"]): dict(row) for row in rows}
@@ -133,7 +151,7 @@ class CellTable(QTableWidget):
     def as_text(self) -> str:
         """The rows selected, or all, as they are sorted: tab-separated, with a header."""
         rows = self._selected() or range(self.rowCount())
-        shown = [column for c, column in enumerate(COLUMNS) if not self.isColumnHidden(c)]
+        shown = [column for c, column in enumerate(self.columns) if not self.isColumnHidden(c)]
         lines = [[column.name for column in shown]]
         for r in rows:
             row = self._rows[self._region(r)]
@@ -230,10 +248,10 @@ def _cell(
         item.setData(Qt.ItemDataRole.DecorationRole, QColor(*colour_of(region, colours)))
         item.setData(_REGION, region)
     elif value is None and column.key in row:
-        item.setToolTip(f"<qt>{why_of(row) or _WHY.get(column.key, _OPEN)}</qt>")
+        item.setToolTip(as_tip(why_of(row) or _WHY.get(column.key, _OPEN)))
     elif isinstance(value, str):
         why = why_of(row) if column.key == "grade" else ""
-        item.setToolTip(f"<qt>{why or for_window(value)}</qt>")
+        item.setToolTip(as_tip(why or value))
     return item
 
 

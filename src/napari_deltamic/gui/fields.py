@@ -20,14 +20,9 @@ from superqt.utils import signals_blocked
 from ..common.description import Described, described
 from ..common.triple import Triple, triple
 from .widgets import Signal, be_narrow, row
-from .window_words import for_window
+from .window_words import as_tip, for_window
 
 _MOST = 1_000_000  # of a whole number without a limit
-
-
-def tip_of(found: Described) -> str:
-    """The tooltip of a setting; rich text, which Qt wraps."""
-    return f"<qt>{found.sentence}</qt>"
 
 
 class TripleField(QWidget):
@@ -44,7 +39,7 @@ class TripleField(QWidget):
             box.setRange(0.001, 1000)
             box.setSingleStep(0.01)
             box.setPrefix(f"{name} ")
-            box.setToolTip(tooltip)
+            box.setToolTip(as_tip(tooltip))
             box.setAccessibleName(f"{name}, µm")
             # napari's style asks for 90 pixels, with which the dock could not be narrow.
             # Without NoButtons, which in Qt 6.12 and that style leaves no room for the number.
@@ -118,7 +113,7 @@ class Form(QWidget):
         self._exact: dict[str, Any] = {}  # what is shown, until it is edited
         for name, found in self.described.items():
             field, by_user = _field(found, self)
-            field.setToolTip(tip_of(found))
+            field.setToolTip(as_tip(found.sentence))
             label = for_window(found.label)
             field.setAccessibleName(label)
             by_user.connect(partial(self._edited, name))
@@ -169,7 +164,7 @@ def _field(found: Described, parent: QWidget) -> tuple[Any, Any]:
         number.setValue(float(found.default or found.start or 0.0))
         return number, number.valueChanged
     if found.kind == "triple":
-        triple = TripleField(tip_of(found), parent)
+        triple = TripleField(found.sentence, parent)
         return triple, triple.edited
     if found.kind == "choice" or found.choices:
         box = QComboBox(parent)

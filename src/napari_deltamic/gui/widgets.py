@@ -30,7 +30,7 @@ from superqt.utils import signals_blocked
 from ..errors import InputError
 from .document import Document
 from .layer_choice import LayerChoice
-from .window_words import for_window
+from .window_words import as_tip, for_window
 from .work import Question, Work
 
 # The bindings' type stubs do not agree on these two.
@@ -41,7 +41,7 @@ QAction: Any = QtGui.QAction  # type: ignore[attr-defined]
 def action(title: str, tip: str, slot: Callable[[], object], parent: Any) -> Any:
     """An entry of a menu."""
     made = QAction(title, parent)
-    made.setToolTip(tip)
+    made.setToolTip(for_window(tip))
     made.triggered.connect(lambda checked=False: slot())
     return made
 
@@ -94,7 +94,7 @@ def narrow_box(
     """A box that long names do not widen."""
     box = QComboBox(parent)
     box.setAccessibleName(name)
-    box.setToolTip(f"<qt>{tip}</qt>")
+    box.setToolTip(as_tip(tip))
     box.addItems(list(items))
     be_narrow(box, characters)
     return box
@@ -103,7 +103,7 @@ def narrow_box(
 def button(title: str, tip: str, slot: Any, parent: QWidget) -> QPushButton:
     """A button that does something when it is pressed; without a slot, others connect it."""
     made = QPushButton(title, parent)
-    made.setToolTip(f"<qt>{tip}</qt>" if tip else "")
+    made.setToolTip(as_tip(tip))
     if slot is not None:
         made.clicked.connect(slot)
     return made
@@ -112,7 +112,7 @@ def button(title: str, tip: str, slot: Any, parent: QWidget) -> QPushButton:
 def slider(tip: str, parent: QWidget | None) -> QLabeledDoubleSlider:
     """A slider for a length, beside its number."""
     made = QLabeledDoubleSlider(Qt.Orientation.Horizontal, parent)
-    made.setToolTip(f"<qt>{tip}</qt>")
+    made.setToolTip(as_tip(tip))
     return made
 
 
@@ -140,7 +140,7 @@ class TaskButton(QPushButton):
         parent: QWidget,
     ) -> None:
         super().__init__(titles[0], parent)
-        self.setToolTip(f"<qt>{tip}</qt>")
+        self.setToolTip(as_tip(tip))
         self._work, self._titles = work, titles
         self._make, self._about, self._refused = make, about, refused
         self._of: Any = None  # what the last task was about
@@ -230,7 +230,7 @@ def be_table_of_rows(table: QTableWidget, titles: Iterable[tuple[str, str]], nar
     """
     for number, (title, tip) in enumerate(titles):
         item = QTableWidgetItem(title)
-        item.setToolTip(f"<qt>{tip}</qt>")
+        item.setToolTip(as_tip(tip))
         table.setHorizontalHeaderItem(number, item)
     rows: Any = table.verticalHeader()
     rows.setVisible(False)

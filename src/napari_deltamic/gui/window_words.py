@@ -29,7 +29,12 @@ def for_window(text: str) -> str:
     """A text as the window says it: with the names of its fields for flags in brackets, and µm."""
     shown = re.sub(r" \(try (--[a-z-]+) (\w+)\)", _tried, text)
     shown = re.sub(r" \((--[^)]*)\)", _placed, shown)
-    return re.sub(r"\bum\b", "µm", shown)
+    return re.sub(r"\bum\b", "µm", shown).replace("µm^2", "µm²").replace("µm^3", "µm³")
+
+
+def as_tip(text: str) -> str:
+    """A text as a tooltip: rich text, which Qt wraps; '' for none."""
+    return f"<qt>{for_window(text)}</qt>" if text else ""
 
 
 def words_of(error: Exception, shape: Sequence[int] | None = None) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
 
@@ -83,6 +83,11 @@ def _shown(column: Column) -> CellColumn:
     unit = column.unit.replace("um", "µm").replace("^3", "³").replace("^2", "²")
     tip = f"{column.meaning[0].upper()}{column.meaning[1:]}."
     return CellColumn(column.name, f"{title}\n{unit}" if unit else title, tip)
+
+
+def columns_in(length: str) -> tuple[CellColumn, ...]:
+    """All columns, with titles for lengths in µm, or in voxels where their size is not known."""
+    return tuple(replace(one, title=one.title.replace("µm", length)) for one in COLUMNS)
 
 
 COLUMNS = tuple(_shown(column) for column in (*CELL_COLUMNS, _RESIDUAL))

@@ -21,7 +21,7 @@ from ...geometry.formats import MESH_FILES, MESH_FILES_LISTED, MESH_FILTERS
 from ...geometry.mesh import OUTSIDE
 from ...images.stacks import write_image
 from ...measure.picking import region_behind, region_in_slice
-from ...results.cell_columns import COLUMNS, value_of
+from ...results.cell_columns import value_of
 from ...results.mesh_exchange import labels_of
 from ...results.report import write_results
 from ..cell_table import CellTable, why_of
@@ -138,7 +138,7 @@ class ResultsPanel(QGroupBox):
         key = (record.state, record.judged)
         if key != self._shown_of:
             self._shown_of = key
-            self.table.show_rows(record.rows, record.link.colours)
+            self.table.show_rows(record.rows, record.link.colours, record.link.frame.length)
             self._explain()
             self._offer_colours()
             if record.judged is not None:
@@ -160,7 +160,7 @@ class ResultsPanel(QGroupBox):
         """In the viewer, and say between which numbers the colours lie."""
         key, link = self.coloured_by, self._doc.link
         numbers = self.table.numbers(key) if key else None
-        column = next((c for c in COLUMNS if c.key == key), None)
+        column = next((c for c in self.table.columns if c.key == key), None)
         if link is not None:
             link.colour_by(numbers)
         if not numbers or column is None:

@@ -45,7 +45,8 @@ class CheckPanel(QGroupBox):
         self._seen: list[float] | None = None  # where the view was that the note speaks of
         self._offset = 0  # iterations of the runs before the present one
         self.away, self.away_row = Note(self, "fair"), QWidget(self)
-        self.away_go = button("Go there", "", self._go_to_time, self)
+        tip = "Move the slider to the time of the result."
+        self.away_go = button("Go there", tip, self._go_to_time, self)
         self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
         tip = "Go to where the image differs most from the rendered one."
         self.worst = button("Worst place", tip, self.go_to_worst, self)

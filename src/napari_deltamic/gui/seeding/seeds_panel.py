@@ -149,11 +149,11 @@ class SeedsPanel(QGroupBox):
     def _lay_out(self) -> None:
         layout = QFormLayout(self)
         layout.addRow(row(self.find_cells, self.place, self.open_file, spacing=4))
-        layout.addRow("size, µm", self.find_cells.cell_size)
+        layout.addRow("size", self.find_cells.cell_size)
         layout.addRow(self.chooser)
         layout.addRow(self.corrections.bar)
         layout.addRow("start from", self.shape)
-        layout.addRow("radius, µm", self.radius)
+        layout.addRow("radius", self.radius)
         layout.addRow("", self.preview)
         layout.addRow(self.note)
         layout.addRow(self.remarks)
@@ -301,7 +301,10 @@ class SeedsPanel(QGroupBox):
         self._form.setRowVisible(self.preview, shown and not self.cells.spheres)
         # While labels are corrected, their number stands below the tools.
         texts = [] if self.corrections.count.text() else [self.find_cells.message]
-        length = self._image.frame().length if self.find_cells.others and sized else "µm"
+        length = "µm" if self.cells.shape() is None else self._image.frame().length
+        for field, what in ((self.find_cells.cell_size, "size"), (self.radius, "radius")):
+            title: Any = self._form.labelForField(field)
+            title.setText(f"{what}, {length}")
         others = [
             f"<a style='color: {LINK}' href='{size!r}'>"
             f"{counted(n, 'cell') + ' of ' if n else ''}{size:.3g} {length}</a>"

@@ -21,6 +21,7 @@ from ..document import Document
 from ..fields import TripleField
 from ..viewing.listening import Connections
 from ..widgets import LayerChooser, Note, Signal, TaskButton, button, column, row, sentence
+from ..window_words import as_tip
 from ..work import Question
 from .accuracy_forecast import scene_key
 from .effects_table import EffectsTable, spoken
@@ -227,7 +228,7 @@ class SecondViewFields(QWidget):
         self.source = doc.second
         self.chooser = LayerChooser(doc.second, self)
         helped = kind_of(ViewEffect).help
-        self.chooser.setToolTip(f"<qt>{sentence(helped)}</qt>")
+        self.chooser.setToolTip(as_tip(sentence(helped)))
         self.sigma = TripleField(
             "Standard deviations of the second view's PSF, um: known, or measured on a bead. "
             "They are held during a fit.",

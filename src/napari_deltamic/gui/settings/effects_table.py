@@ -11,6 +11,7 @@ from qtpy.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableW
 from ...evidence import Evidence
 from ...scene.effects import KINDS
 from ..widgets import Signal, be_as_high_as_rows, be_table_of_rows, sentence
+from ..window_words import as_tip
 
 _COLUMNS = (
     ("correction", "Tick to include it: in a running fit from now on, otherwise in the next one."),
@@ -132,4 +133,4 @@ def _two_digits(value: float) -> str:
 
 def _tip(name: str, evidence: Evidence | None) -> str:
     reason = f"<br><br>{evidence.reason}" if evidence else ""
-    return f"<qt>{sentence(KINDS[name].help)}{reason}</qt>"
+    return as_tip(f"{sentence(KINDS[name].help)}{reason}")

@@ -23,7 +23,7 @@ from ...optics.sections import Sections, psf_sections
 from ...runs.optics_settings import MeasuredOptics, MicroscopeOptics, optics_from_values
 from ...runs.settings import SceneSettings
 from ..document import Document
-from ..fields import Form, TripleField, tip_of
+from ..fields import Form, TripleField
 from ..fit_choice import widths_in_words
 from ..widgets import Note, Signal, button, column, narrow_box
 from ..window_words import attempt
@@ -66,7 +66,7 @@ class OpticsPanel(QWidget):
         self._key = self._width = ""
         tips = "<br>".join(f"<b>{name}</b>: {text}" for name, text in _TIPS.items())
         self.kind = narrow_box(self, "kind of PSF", tips, _TIPS)
-        self.sigma = TripleField(tip_of(described(SceneSettings)["sigma"]), self)
+        self.sigma = TripleField(described(SceneSettings)["sigma"].sentence, self)
         self.objective = ObjectiveFields(self)
         self.measured = MeasuredFields(self._complain, self)
         self.width_note, self.trouble = Note(self), Note(self, "poor")

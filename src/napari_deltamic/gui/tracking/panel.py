@@ -239,7 +239,8 @@ class TrackPanel(QGroupBox):
             self.frame.setText(result.message)
         else:
             self._frame = result.frame
-            self.table.show_rows(measure_cells(result.mesh), layers.colours)
+            rows, length = measure_cells(result.mesh), layers.frame.length
+            self.table.show_rows(rows, layers.colours, length)
             told = [*(event.text for event in result.events), result.message]
             text = f"time {result.frame}: {counted(len(result.cells), 'cell')}"
             self.frame.setText("; ".join([text, *filter(None, told)]))
