@@ -48,7 +48,7 @@ def test_sphere():
     assert row["mean_curvature_per_um"] == pytest.approx(1 / 2, rel=1e-3)
     assert row["handles"] == 0
     assert [row[f"half_axis_{k}_um"] for k in (1, 2, 3)] == pytest.approx([2, 2, 2], rel=1e-3)
-    assert row["note"] == "no pressure: no wall with a tension and a curvature"
+    assert row["note"] == "no pressure: it touches no other cell"
     assert row["cut_by_border"] is None
 
 
@@ -135,7 +135,11 @@ def test_a_cell_that_the_border_cuts():
     assert the_row(sphere((0, 0, 0), 4.0), known)["cut_by_border"] == "no"
     row = the_row(sphere((0, 0, 3), 4.0), known)
     assert row["cut_by_border"] == "yes"
-    assert "cut by the border" in row["note"]
+    assert row["note"].startswith("the border of the image cuts it; ")
+    said = "dim; the border of the image cuts it: what lies beyond is a guess"
+    known = Known(grid=ROUND, judgements={1: Judgement("fair", 0.1, said)})
+    note = the_row(sphere((0, 0, 3), 4.0), known)["note"]
+    assert note == f"{said}; no pressure: it touches no other cell", "the grade first, each once"
     assert row["volume_um3"] == pytest.approx(4 / 3 * np.pi * 64, rel=0.02)
 
 

@@ -98,4 +98,4 @@ def test_cells_that_no_measured_wall_joins_to_the_outside_have_no_pressure():
     assert found[1].reason == found[2].reason == "no measured walls lead to the outside"
     assert found[3].value == pytest.approx(0.4)
     assert found[3].error == pytest.approx(0.04)
-    assert found[4].reason == "no wall with a tension and a curvature"
+    assert found[4].reason == "tension and curvature are not both known for any of its walls"

@@ -63,6 +63,8 @@ CELL_COLUMNS = (
     ),
 )
 
+_CUT = "the border of the image cuts it"
+
 
 def cells_table(sides: Sides, known: Known, pressures: Mapping[int, Estimate]) -> Table:
     """One row for each cell, by region number."""
@@ -87,11 +89,11 @@ def cells_table(sides: Sides, known: Known, pressures: Mapping[int, Estimate]) -
         if judged is not None:
             row["grade"], row["shape_error_um"] = judged.grade, judged.shape_error
         row["note"] = notes(
+            said := "" if judged is None else judged.reasons,
             _about_volume(row),
             _about_curvature(row),
-            "cut by the border of the image" if cut is not None and cut[k] else "",
-            f"no pressure: {pressure.reason}" if pressure.reason else "",
-            "" if judged is None else judged.reasons,
+            _CUT if cut is not None and cut[k] and _CUT not in said else "",
+            _about_pressure(row, pressure),
         )
         rows.append(row)
     return table_of("cells", CELL_COLUMNS, rows)
@@ -101,6 +103,12 @@ def _about_volume(row: Mapping[str, Value]) -> str:
     volume = row["volume_um3"]
     known = isinstance(volume, float) and np.isfinite(volume)
     return "" if known else "no volume: its surface is open or inside out"
+
+
+def _about_pressure(row: Mapping[str, Value], pressure: Estimate) -> str:
+    if not pressure.reason:
+        return ""
+    return f"no pressure: {pressure.reason if row['n_contacts'] else 'it touches no other cell'}"
 
 
 def _about_curvature(row: Mapping[str, Value]) -> str:

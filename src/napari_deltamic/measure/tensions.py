@@ -124,9 +124,8 @@ def relative_pressures(
         for pair, t in tensions.items()
         if t.value is not None and np.isfinite(curvatures.get(pair, np.nan))
     ]
-    found = {
-        region: Estimate(reason="no wall with a tension and a curvature") for region in regions
-    }
+    unknown = Estimate(reason="tension and curvature are not both known for any of its walls")
+    found = dict.fromkeys(regions, unknown)
     cells = sorted({region for pair, *_ in known for region in pair} | {OUTSIDE})
     index = {region: k for k, region in enumerate(cells)}
     rows = np.zeros((len(known), len(cells)))
