@@ -187,6 +187,21 @@ def test_what_is_said_of_the_middle_of_the_view_goes_when_it_moves(widget, with_
     assert check.note.text() == "something else"
 
 
+def test_what_is_looked_at_and_the_brush_have_units(widget):
+    check, scale = widget.running, widget.running.scale
+    assert scale.isHidden()
+    check.view.setCurrentText("residual")
+    assert "in standard deviations of the noise" in scale.text()
+    assert not scale.isHidden()
+    check.view.setCurrentText("rendered")
+    assert scale.isHidden()
+    check.edit.use("nudge")
+    assert check.edit.unit.text() == "radius, µm"
+    assert not check.edit.brush.isHidden()
+    check.edit.use(None)
+    assert check.edit.brush.isHidden()
+
+
 def test_what_is_to_be_said_of_the_cell_chosen_is_said(widget):
     results = widget.results
     row = dict(results.table.rows[0]) | {"note": "it is dim (--effects auto)", "grade": "fair"}

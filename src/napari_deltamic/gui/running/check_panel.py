@@ -28,6 +28,10 @@ from .worker import Snapshot
 
 _SLICES = {"XY": (0, 1, 2), "XZ": (1, 0, 2), "YZ": (2, 0, 1)}
 _TITLE = "4  Check"
+_SCALE = (
+    "Measured minus rendered; the colour bar is in standard deviations of the noise. Green is "
+    "brighter than rendered, magenta darker."
+)
 _MOST_POINTS = 400  # points drawn
 _OVER_CURVE = 18  # px above the plot
 _CURVE = ("#ffb000", "#a35f00")  # on dark, and on light
@@ -70,10 +74,10 @@ class CheckPanel(QGroupBox):
         self.numbers = LiveNumbers(self)
         tip = (
             "<b>rendered</b>: what the microscope would see of the present surfaces. "
-            "<b>residual</b>: measured minus rendered, in standard deviations of the noise; green "
-            "is brighter than rendered, magenta darker."
+            f"<b>residual</b>: {_SCALE}"
         )
         self.view = narrow_box(self, "what is shown", tip, VIEWS, 9)
+        self.scale = Note(self)  # of the residual, to which napari's bar gives no unit
         tip = "Look at slices across another axis."
         self.slice = narrow_box(self, "slices", tip, _SLICES, 3)
         self._lay_out()
@@ -146,7 +150,7 @@ class CheckPanel(QGroupBox):
         doc.work.changed.connect(self._work_changed)
         doc.began.connect(self._began)
         doc.shown.connect(self._show_snapshot)
-        doc.view_changed.connect(lambda: self.view.setCurrentText(doc.view))
+        doc.view_changed.connect(self._show_view)
         for signal in (doc.image.changed, doc.result_changed, doc.judged, doc.ended):
             signal.connect(self._show)
 
@@ -170,6 +174,7 @@ class CheckPanel(QGroupBox):
         shown = known and doc.in_sight
         for part in (self.curve, self._looks, self.edit, self.history):
             part.setVisible(shown)
+        self._show_view()
         self.setTitle(record.link.with_time(_TITLE) if record is not None and shown else _TITLE)
         self._show_time()
         if ended is not None and ended.state is not None:
@@ -190,6 +195,13 @@ class CheckPanel(QGroupBox):
         self.curve.show_losses(history.loss, history.level, history.first)
         if not self._doc.earlier:
             self.numbers.show_numbers(moved_numbers(snapshot.state, snapshot.job))
+
+    def _show_view(self) -> None:
+        """What is looked at, and how it is to be read."""
+        self.view.setCurrentText(self._doc.view)
+        self.scale.say(
+            _SCALE if self._doc.view == "residual" and self.edit.isVisibleTo(self) else ""
+        )
 
     def _show_verdict(self, verdict: str, text: str) -> None:
         """How it ended, in the first line of a text; those after it are remarks, in a list."""
@@ -254,7 +266,7 @@ class CheckPanel(QGroupBox):
         row((self.stray, 1), self.stray_go, self.stray_add, of=self.stray_row)
         ended = row((self.verdict, 1), self.worst)
         said = self.away_row, self.grade, self.again, ended, self.note, self.remarks, self.stray_row
-        shown = self._looks, self.curve, self.history, self.edit, self.numbers
+        shown = self._looks, self.scale, self.curve, self.history, self.edit, self.numbers
         filled(QVBoxLayout(self), *said, *shown)
 
 

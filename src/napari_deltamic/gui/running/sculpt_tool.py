@@ -20,7 +20,7 @@ from ..viewing.contours import sliced_axis
 from ..viewing.frame import FloatArray
 from ..viewing.listening import Presses, lay_down
 from ..viewing.viewer_link import ViewerLink
-from ..widgets import ToolBar, button, slider
+from ..widgets import ToolBar, button, row, slider
 from .edits import Edits
 
 _TIPS = {
@@ -48,11 +48,13 @@ class EditBar(ToolBar):
         self._control, self._edits = control, edits
         free_all = partial(doc.guarded, edits.free_all)
         self.pins = button("", "Free all pinned vertices.", free_all, self)
-        self.radius = slider("Radius of the brush, µm; the effect fades towards its rim.", self)
+        self.radius = slider("Radius of the brush; the effect fades towards its rim.", self)
+        self.unit, self.brush = QLabel(self), QWidget(self)
+        row(self.unit, (self.radius, 1), of=self.brush)
         self.row.insertWidget(0, QLabel("edit", self))
-        self.column.insertWidget(1, self.radius)
+        self.column.insertWidget(1, self.brush)
         self.column.addWidget(self.pins)
-        self.radius.hide()
+        self.brush.hide()
         self.presses = Presses(doc.viewer, self._pressed)
         self.tool_chosen.connect(self._tool_chosen)
         doc.began.connect(self._began)
@@ -64,7 +66,9 @@ class EditBar(ToolBar):
     def explain(self) -> None:
         """What the tool in use does, with its brush."""
         super().explain()
-        self.radius.setVisible(self.tool is not None)
+        link = self._doc.link
+        self.unit.setText(f"radius, {'µm' if link is None else link.frame.length}")
+        self.brush.setVisible(self.tool is not None)
 
     def _tool_chosen(self, tool: str | None) -> None:
         self.presses.listen(tool is not None, first=True)  # others only look at a click
