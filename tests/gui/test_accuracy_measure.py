@@ -3,6 +3,7 @@
 import gc
 import threading
 import weakref
+from dataclasses import replace
 
 import pytest
 
@@ -91,6 +92,16 @@ def test_each_way_is_a_line(measuring, ways, spin, pixels):
     ]
     assert [view.list.item(k).font().bold() for k in range(3)] == [False, True, False]
     assert "1 of 6 ways take longer" in view.progress.text()
+
+
+def test_what_others_are_compared_with_is_not_offered(measuring, ways, spin):
+    view, gate = measuring[0].settings.tradeoff, measuring[1]
+    ways[0] = replace(ways[0], accuracy=1e-9)
+    view.button.click()
+    gate.release(6)
+    spin(lambda: not view.button.busy)
+    assert lines(view)[0].startswith("1e-1:")
+    assert len(lines(view)) == 3
 
 
 def test_a_click_sets_the_dial(measuring, spin):

@@ -226,7 +226,8 @@ class TradeoffView(QWidget):
     def _show(self) -> None:
         task = self.button.task
         self.ways = [] if task is None else list(task.found)
-        planned = [way for way in self.ways if way.accuracy and way.measured]
+        # What the others are compared with is far too fine to fit with.
+        planned = [w for w in self.ways if w.accuracy and w.measured and not w.reference]
         self.list.clear()
         for way in planned:
             item = QListWidgetItem(_line(way), self.list)
