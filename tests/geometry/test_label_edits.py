@@ -60,6 +60,13 @@ def test_a_click_in_the_background_adds_the_cell_there_and_leaves_others_alone()
     assert same(done == 5, truth == 2) > 0.85
 
 
+def test_nothing_is_added_where_there_is_only_background():
+    image, truth = scene()
+    image, labels = (np.pad(part, ((0, 0), (0, 0), (0, 40))) for part in (image, truth))
+    with pytest.raises(InputError, match="no cell is seen around click 1"):
+        correct_labels(image, SIZE, labels, [Click((2.4, 3.0, 11.0))])
+
+
 def test_cells_are_merged_and_removed():
     image, truth = scene()
     merged = correct_labels(image, SIZE, truth, [Click(LEFT, "merge"), Click(RIGHT, "merge")])

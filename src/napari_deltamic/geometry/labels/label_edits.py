@@ -253,12 +253,27 @@ def _add(
         zip(ndimage.find_objects(parts, len(clicks)), clicks, strict=True)
     ):
         if part is None:
-            raise InputError(f"no room for a cell at click {click + 1}: is it on a membrane?")
+            raise _unseen(click)
         place = tuple(places[k] - low - [s.start for s in part])
         cell = _rounded(parts[part] == k + 1, place, voxel, size)
-        if cell.sum() < fewest:
-            raise InputError(f"no room for a cell at click {click + 1}: is it on a membrane?")
+        whole = np.zeros(own.shape, bool)
+        whole[part] = cell
+        if cell.sum() < fewest or _edge(landscape, whole) < CLICKS.edge:
+            raise _unseen(click)
         own[part][cell] = outside + k
+
+
+def _unseen(click: int) -> InputError:
+    where = "is it on a membrane, or in the background?"
+    return InputError(f"no cell is seen around click {click + 1}: {where}")
+
+
+def _edge(walls: Image, cell: NDArray[np.bool_]) -> float:
+    """By how much the rim of a cell is brighter, or darker, than its core."""
+    core = ndimage.binary_erosion(cell)
+    core = core if core.any() else cell
+    rim = ndimage.binary_dilation(cell, iterations=2) & ~core
+    return abs(float(walls[rim].mean()) - float(walls[core].mean()))
 
 
 def _nearest(cost: FloatArray, centres: Sequence[_Place], voxel: FloatArray) -> NDArray[np.intp]:
