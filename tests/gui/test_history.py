@@ -1,10 +1,11 @@
 """Earlier moments of a fit, undo, what is left of it, and its images."""
 
+import threading
 from types import SimpleNamespace
 
 import numpy as np
 
-from napari_deltamic.gui.running import run_control
+from napari_deltamic.gui.running import footer, run_control, worker
 from napari_deltamic.gui.running.footer import forecast_text, progress_text
 from napari_deltamic.measure.surface_distance import distance_to_surface
 
@@ -137,6 +138,26 @@ def test_a_failed_start_keeps_the_last_result(ended, with_image, spin, told):
     assert ended.doc.result.state is state
     use(ended, "push").drag(right_end(ended))
     assert notes(ended)[-1] == "push"
+
+
+def test_a_step_that_takes_long_is_told_instead_of_a_time_that_stands_still(
+    seeded, spin, monkeypatch
+):
+    gate, states, text = threading.Event(), worker.start, seeded.footer.message.text
+
+    def slow(job):
+        for k, state in enumerate(states(job)):
+            assert k != 4 or gate.wait(20)
+            yield state
+
+    monkeypatch.setattr(worker, "start", slow)
+    monkeypatch.setattr(footer, "_LONG", 0.2)
+    seeded.start()
+    spin(lambda: text() == "the next step takes longer: 1 s so far; 4 iterations")
+    gate.set()
+    spin(lambda: "takes longer" not in text())
+    seeded.stop()
+    spin(lambda: not seeded.doc.run.running)
 
 
 def test_remaining_time_is_told_where_it_is_known(begun, spin, monkeypatch):

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from qtpy.QtWidgets import QProgressBar, QWidget
 
-from ...common.words import duration
+from ...common.words import counted, duration
 from ...errors import InputError
 from ..document import Document
 from ..widgets import Note, button, column, row, sentence
 from .worker import FitRun, Snapshot
+
+_LONG = 4.0  # s of one iteration after which a forecast says nothing; chosen
 
 
 class Footer(QWidget):
@@ -20,6 +23,7 @@ class Footer(QWidget):
         super().__init__(parent)
         self._doc = doc
         self._of: tuple[Any, ...] = ()  # the image that the reason is about
+        self._iterations, self._since = 0, 0.0  # that were shown, and since when
         tip = "Fit the surfaces of the cells to the image."
         self.run_button = button("Fit", tip, control.start, self)
         self.run_button.setStyleSheet("font-weight: bold;")
@@ -46,7 +50,7 @@ class Footer(QWidget):
         self._work_changed()
 
     def _work_changed(self) -> None:
-        task = self._doc.work.task
+        task, self._iterations = self._doc.work.task, 0
         self.run_button.setEnabled(not self._doc.work.occupied)
         self.pause_button.setEnabled(isinstance(task, FitRun))
         self.stop_button.setEnabled(task is not None)
@@ -79,9 +83,15 @@ class Footer(QWidget):
         return ""
 
     def _looked(self) -> None:
-        """What any task but a fit, which says more, is doing."""
+        """What any task is doing; a fit, which says more, only where that takes long."""
         task: Any = self._doc.work.task
-        if task is not None and not isinstance(task, FitRun):
+        if isinstance(task, FitRun):
+            waited = time.monotonic() - self._since
+            if self._iterations and waited > _LONG and not (task.paused or task.stopping):
+                # It compares what else may shine, or other PSFs, and tells of no iteration then.
+                so_far = f"{waited:.0f} s so far; {counted(self._iterations, 'iteration')}"
+                self.message.say(f"the next step takes longer: {so_far}")
+        elif task is not None:
             self.message.say(f"{task.stage} ..." if not task.stopping else "stopping ...")
             if task.share is not None:
                 self._advance(round(100 * task.share), 100)
@@ -99,6 +109,7 @@ class Footer(QWidget):
         else:
             self._advance(state.level - 1, state.levels, text)
         done, rate = len(run.history.loss), snapshot.iterations_per_second
+        self._iterations, self._since = done, time.monotonic()
         stands = f"paused after {done} iterations"
         self.message.say(stands if run.paused else progress_text(done, rate, left))
 
@@ -113,6 +124,7 @@ class Footer(QWidget):
 
     def _pause(self, paused: bool) -> None:
         self.pause_button.setText("Resume" if paused else "Pause")
+        self._since = time.monotonic()
         self._doc.work.pause(paused)
 
     def _stop(self) -> None:
