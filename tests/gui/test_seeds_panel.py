@@ -95,6 +95,17 @@ def test_another_region_leaves_spheres_as_large_as_they_were(panel, with_image):
     np.testing.assert_array_equal(points.size, before)
 
 
+def test_another_region_leaves_the_size_of_cells_as_it_was(panel, with_image, pixels):
+    finder = panel.find_cells
+    finder.cell_size.setValue(1.7)
+    panel._image.take_region(((2, 12), (2, 12), (2, 12)))
+    assert finder.cell_size.value() == pytest.approx(1.7)
+    assert finder.tried
+    panel._image.choose(with_image.add_image(pixels, scale=SIZE, name="other"))
+    assert finder.cell_size.value() != pytest.approx(1.7)
+    assert not finder.tried
+
+
 def test_each_source_alone(panel, with_image, ball_labels):
     points = add_points(panel, with_image, CENTER)
     assert taken(panel).kind == "image"

@@ -78,10 +78,14 @@ class FindCells(QPushButton):
         self.background.ask(partial(look, read, frame.voxel_size, size), then)
         self._tell("Looking for cells ...")
 
-    def suit(self, shape: tuple[int, ...], voxel_size: tuple[float, ...]) -> None:
+    def suit(
+        self, shape: tuple[int, ...], voxel_size: tuple[float, ...], *, same: bool = False
+    ) -> None:
         """Another image: what was asked of the last one, and found in it, is of no use.
 
         Unless it is another channel of the same stack: nuclei that were found mark its cells.
+
+        same : it is only another region of the image.
         """
         self.forget()
         before, now = self._found_in, self._image.layer
@@ -93,6 +97,10 @@ class FindCells(QPushButton):
                 self._cells.choose(self._layer, ticked=False)
         sides = np.multiply(shape, voxel_size)
         least = 4 * float(np.cbrt(np.prod(voxel_size)))  # less is refused
+        if same:
+            size = float(self.cell_size.value())
+            self._set_size(size, least, max(float(sides.max()), size))
+            return
         self._set_size(float(sides.min()) / 3, least, float(sides.max()))
         self._moved, self._sizes = False, []
 

@@ -207,7 +207,7 @@ class SeedsPanel(QGroupBox):
         if not same:
             self.radius.setValue(float(sides.min()) / 6)
         self._voxels = voxels
-        self.find_cells.suit(shape, size)
+        self.find_cells.suit(shape, size, same=same)
         self.preview.suit(shape, size)
         self._show_soon()
 
