@@ -97,6 +97,16 @@ def test_a_click_adds_a_cell_that_was_missed(seeds, apart, click, scene):
     assert not ((apart.data == 2) & (scene[1] == 1)).any()
 
 
+def test_while_labels_are_corrected_their_number_is_told_once(seeds, apart, click):
+    seeds.find_cells._tell("Found 2 cells of about 3 µm.")
+    click("split", (2.4, 3.0, 3.4))  # on the wall
+    reason = "That click cuts nothing off: click in the middle of the cell."
+    assert told(seeds) == (reason, "2 cells")
+    assert "Found 2 cells" not in seeds.note.text()
+    seeds.corrections.bar.use(None)
+    assert "Found 2 cells" in seeds.note.text()
+
+
 def test_two_clicks_merge_and_one_removes(seeds, apart, click):
     click("merge", LEFT)
     assert numbers(apart) == [1, 2]
@@ -167,9 +177,9 @@ def test_the_first_of_two_clicks_can_be_taken_back(seeds, apart, click):
 
 def test_what_a_click_cannot_do_is_told_without_numbers(seeds, apart, click):
     click("remove", BESIDE)
-    assert told(seeds)[0] == "that click lies in no cell"
+    assert told(seeds)[0] == "That click lies in no cell."
     click("merge", LEFT, LEFT)
-    assert told(seeds)[0] == "both clicks lie in the same cell already"
+    assert told(seeds)[0] == "Both clicks lie in the same cell already."
     assert numbers(apart) == [1, 2]
     assert told(seeds)[1] == "2 cells"
 

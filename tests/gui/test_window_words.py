@@ -9,7 +9,7 @@ from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from napari_deltamic.gui.fit_widget import Column
 from napari_deltamic.gui.viewing.colours import BY_VALUE, ByValue
-from napari_deltamic.gui.widgets import VERDICTS, Note
+from napari_deltamic.gui.widgets import VERDICTS, Note, sentence
 from napari_deltamic.gui.window_words import for_window
 from napari_deltamic.results.judged import told
 
@@ -55,6 +55,10 @@ def test_a_grade_is_told_in_voxels_where_their_size_is_not_known():
     known = SimpleNamespace(verdict=verdict, found=SimpleNamespace(explained=0.9))
     assert told(known).endswith("signal around them; they are off by about 138 nm.")
     assert told(known, "voxels").endswith("they are off by about 0.14 voxels.")
+
+
+def test_a_question_has_no_full_stop():
+    assert [sentence(text) for text in ("is it?", "it is", "")] == ["Is it?", "It is.", ""]
 
 
 @pytest.mark.parametrize("verdict", sorted(VERDICTS))

@@ -219,8 +219,8 @@ def is_dark(widget: QWidget) -> bool:
 
 
 def sentence(text: str) -> str:
-    """A reason as a sentence."""
-    return f"{text[0].upper()}{text[1:]}." if text else ""
+    """A reason, or a question, as a sentence."""
+    return f"{text[0].upper()}{text[1:]}{'' if text.endswith('?') else '.'}" if text else ""
 
 
 def be_table_of_rows(table: QTableWidget, titles: Iterable[tuple[str, str]], narrowest: int) -> Any:

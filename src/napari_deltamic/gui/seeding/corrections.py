@@ -25,7 +25,7 @@ from ..cell_source import seeds_from_layer
 from ..document import Document
 from ..viewing.frame import FloatArray, Frame, chosen_of
 from ..viewing.listening import Presses, is_click, lay_down, wants_clicks
-from ..widgets import Note, Signal, ToolBar, button, small
+from ..widgets import Note, Signal, ToolBar, button, sentence, small
 from ..window_words import attempt
 
 # Title, what it does, and its name among the edits of labels.
@@ -177,7 +177,7 @@ class Corrections(QObject):
                 self._start(*self._waiting.pop(0))
             except InputError as error:
                 self._waiting = []
-                self.bar.hint.say(str(error))
+                self.bar.hint.say(sentence(str(error)))
 
     def _start(self, layer: Any, clicks: list[Click]) -> None:
         if layer not in self._cells.ticked or self._image.layer is None:
@@ -209,7 +209,7 @@ class Corrections(QObject):
         self._next()
 
     def _fail(self, message: str) -> None:
-        self.bar.hint.say(_without_numbers(message))
+        self.bar.hint.say(sentence(_without_numbers(message)))
         self.renew()
         self._next()
 

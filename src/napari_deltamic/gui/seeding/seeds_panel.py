@@ -165,6 +165,7 @@ class SeedsPanel(QGroupBox):
         self.cells.chosen.connect(self._layers_chosen)
         self.corrections.edited.connect(self.find_cells.edited)
         self.corrections.edited.connect(self._show_soon)
+        self.corrections.bar.tool_chosen.connect(lambda tool: self._show())
         self.shape.currentTextChanged.connect(self._shape_chosen)
         self.radius.valueChanged.connect(self._resize)
         self.preview.changed.connect(self._previewed)
