@@ -7,6 +7,7 @@ import threading
 import time
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,9 +29,9 @@ with warnings.catch_warnings():
     import napari.viewer
     from qtpy.QtWidgets import QApplication
 
-    from napari_deltamic.gui import fit_widget
+    from napari_deltamic.gui import calm, fit_widget
     from napari_deltamic.gui.document import Document
-    from napari_deltamic.gui.running import worker
+    from napari_deltamic.gui.running import run_control, worker
     from napari_deltamic.gui.seeding import preview, seeds_panel
     from napari_deltamic.gui.settings import accuracy_forecast
     from napari_deltamic.gui.tracking import track_work as tracking_work
@@ -41,6 +42,7 @@ from napari_deltamic.common.cache_folder import CACHE_VARIABLE
 from napari_deltamic.fitting import fit
 from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.geometry import sphere
+from napari_deltamic.results.judged import compared
 from napari_deltamic.tracking import track
 
 SIZE = (0.3, 0.2, 0.2)
@@ -56,6 +58,35 @@ def costs(monkeypatch, tmp_path):
     found = replace(BUILT_IN, measured=True)
     monkeypatch.setattr(machine_costs, "calibrate", lambda: found)
     return found
+
+
+@pytest.fixture(scope="module", autouse=True)
+def frozen():
+    """What is there before a file of tests (modules, mostly) is not looked through after each.
+
+    Frozen after a test, its viewer and widgets would be as well, and never be freed.
+    """
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch, request):
+    """What takes long after each fit, and few tests ask for, is left out."""
+    if "judged" not in request.fixturenames:
+        monkeypatch.setattr(run_control, "judge", _only_rendered)
+    if "thawed" not in request.fixturenames:
+        # To count all that is frozen here takes long.
+        monkeypatch.setattr(calm, "gc", SimpleNamespace(get_freeze_count=lambda: 1))
+
+
+@pytest.fixture
+def judged():
+    """For tests of how good the end of a fit is said to be."""
+
+
+def _only_rendered(state, job, spread):
+    return compared(state.rendered(), job, spread)
 
 
 @pytest.fixture(scope="session")
@@ -117,13 +148,7 @@ def make_widget(app, with_image, spin):
         widget.close_links()
     made.clear()
     spin(seconds=0.05, must=False)
-    _collect()
-
-
-def _collect():
-    """What outlives a test (modules, mostly) is not looked through again: 20 ms, not 500."""
     gc.collect()
-    gc.freeze()
 
 
 @pytest.fixture
@@ -275,7 +300,7 @@ def series_widget(app, viewer, series, spin):
     yield widget
     widget.close_links()
     spin(seconds=0.05, must=False)
-    _collect()
+    gc.collect()
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from napari_deltamic.gui.settings.effects_panel import EffectsPanel
 from napari_deltamic.results.cell_columns import COLUMNS
 from napari_deltamic.scene.effects import Attenuation, Effects
 
-pytestmark = pytest.mark.usefixtures("soon")
+pytestmark = pytest.mark.usefixtures("soon", "judged")
 
 FADING = Evidence(
     "attenuation", 12.3, 85.4, 0.4, 3.21, True, "z = 12.3; leaving it out would move it"

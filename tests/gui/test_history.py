@@ -4,6 +4,7 @@ import threading
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from napari_deltamic.gui.running import footer, run_control, worker
 from napari_deltamic.gui.running.footer import forecast_text, progress_text
@@ -81,6 +82,7 @@ def test_undo_and_redo(ended):
     assert not bar.redo_button.isEnabled()
 
 
+@pytest.mark.usefixtures("judged")
 def test_undo_brings_back_the_fit_with_its_verdict(seeded, spin):
     seeded.start()
     spin(lambda: not seeded.doc.run.running)

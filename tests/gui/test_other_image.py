@@ -247,6 +247,7 @@ def wait_for_grade(widget, spin):
     spin(lambda: not widget.doc.run.running and widget.doc.record.judged is not None)
 
 
+@pytest.mark.usefixtures("judged")
 def test_without_an_image_nothing_is_known_and_nothing_is_shown(seeded, with_image, spin, told):
     seeded.settings.max_iterations.setValue(3)
     seeded.start()
@@ -265,6 +266,7 @@ def test_without_an_image_nothing_is_known_and_nothing_is_shown(seeded, with_ima
     assert told == []
 
 
+@pytest.mark.usefixtures("judged")
 def test_what_is_found_after_the_image_went_is_not_shown(seeded, with_image, spin, monkeypatch):
     asked = []
     monkeypatch.setattr(seeded.judging.background, "ask", lambda *what: asked.append(what))
@@ -278,6 +280,7 @@ def test_what_is_found_after_the_image_went_is_not_shown(seeded, with_image, spi
     assert len(with_image.layers) == 0
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_fit_whose_layers_all_go_can_be_saved_but_is_not_shown(
     begun, with_image, spin, tmp_path, seen

@@ -169,6 +169,7 @@ def test_a_row_dims_the_other_cells_and_goes_there(widget, with_image):
     np.testing.assert_array_equal(surface.data[2], plain)
 
 
+@pytest.mark.usefixtures("judged")
 def test_what_is_said_of_the_middle_of_the_view_goes_when_it_moves(widget, with_image, spin):
     check, camera = widget.running, camera_of(with_image)
     spin(lambda: widget.doc.result.judged is not None)
@@ -309,6 +310,7 @@ def test_a_file_that_is_gone(from_file, pixels):
     np.testing.assert_array_equal(image, pixels)
 
 
+@pytest.mark.usefixtures("judged")
 def test_cells_are_coloured_by_a_column_and_described(ended, spin):
     results, link = ended.results, ended.doc.link
     spin(lambda: ended.running.grade.text() != "", seconds=60)
@@ -326,6 +328,7 @@ def test_cells_are_coloured_by_a_column_and_described(ended, spin):
     assert results.scale.text() == ""
 
 
+@pytest.mark.usefixtures("judged")
 def test_columns_are_chosen(ended, spin):
     table = ended.results.table
     spin(lambda: ended.running.grade.text() != "", seconds=60)
@@ -345,6 +348,7 @@ def test_columns_are_chosen(ended, spin):
     assert table.isColumnHidden(keys.index("pressure_per_um"))
 
 
+@pytest.mark.usefixtures("judged")
 def test_the_result_becomes_a_labels_layer_with_measurements(ended, viewer, spin):
     spin(lambda: ended.running.grade.text() != "", seconds=60)
     ended.results.add_labels()

@@ -36,6 +36,7 @@ def running(widget):
     return widget.doc.run is not None and widget.doc.run.running
 
 
+@pytest.mark.usefixtures("judged")
 def test_three_clicks_give_a_mesh(make_widget, with_image, spin):
     widget = make_widget()
     assert widget.doc.image.layer is with_image.layers["cell"]  # the only one
@@ -386,6 +387,7 @@ def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
     assert panel.remarks.title == "3 remarks"
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.parametrize("made", [widefield_of, confocal_of])
 def test_a_fit_that_begins_anew_with_another_psf(seeded, spin, monkeypatch, tmp_path, made):
     """Settings, forecast and session follow the kind of PSF."""

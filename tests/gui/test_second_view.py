@@ -62,6 +62,7 @@ def test_a_region_is_in_no_file(seeded, second, monkeypatch):
     assert (seeded.doc.image.file()[0], view.image) == ("", "")
 
 
+@pytest.mark.usefixtures("judged")
 def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):
     jobs, start = [], worker.start
 

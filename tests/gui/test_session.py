@@ -20,6 +20,8 @@ from .dialing import show_psf
 from .interacting import went_on
 from .sessions import done, fitted, save, shown
 
+pytestmark = pytest.mark.usefixtures("judged")
+
 
 @pytest.mark.slow
 def test_psf_and_effects_come_back_with_what_was_fitted(seeded, spin, tmp_path, told, reopened):

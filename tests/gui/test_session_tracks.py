@@ -82,6 +82,7 @@ def test_what_was_stopped_goes_on_after_reopening(widget, spin, slow, reopened_h
     assert other.tracking.verdict.text().startswith("4 frames tracked")
 
 
+@pytest.mark.usefixtures("judged")
 def test_a_fit_of_one_time_comes_back_at_its_time(widget, viewer, spin, reopened_here):
     viewer.dims.set_current_step(0, 2)
     widget.tracking.start()

@@ -19,6 +19,8 @@ from napari_deltamic.results.session_file import load_session
 
 from .sessions import fitted, save, shown
 
+pytestmark = pytest.mark.usefixtures("judged")
+
 
 def test_a_result_of_another_image_is_left_out_and_told(seeded, with_image, spin, tmp_path, told):
     fitted(seeded, spin)

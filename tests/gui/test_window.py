@@ -131,6 +131,7 @@ def test_napari_opens_the_widget_of_the_manifest(window):
 
 
 @pytest.mark.skipif(not DISPLAY, reason="needs a display (DISPLAY is not set)")
+@pytest.mark.usefixtures("judged")
 def test_a_real_window_shows_contours_and_surfaces(window, docked, spin, tmp_path):
     docked.start()
     spin(lambda: not docked.doc.run.running)
