@@ -216,6 +216,7 @@ def test_the_surface_of_a_fit_is_there_at_its_time_only(widget, viewer, spin):
     assert not surface.visible
 
 
+@pytest.mark.usefixtures("judged")
 def test_a_result_tells_its_time_and_leads_back_to_it(widget, viewer, spin):
     viewer.dims.set_current_step(0, 1)
     widget.start()
