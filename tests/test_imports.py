@@ -4,6 +4,7 @@ import ast
 import subprocess
 import sys
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,7 @@ ORDER = (
 GUI = ("gui", "_reader", "_widget", "_writer")
 
 
+@cache
 def modules():
     """Dotted name -> file, of every module of the package."""
     found = {}
@@ -50,16 +52,19 @@ def part_of(module):
     return parts[1] if len(parts) > 1 and parts[1] in ORDER else None
 
 
+@cache
 def imported_from(name, path):
     """Absolute names of the modules that a module imports from, and what it takes of each."""
+    found = []
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom):
             above = package.split(".")[: len(package.split(".")) - node.level + 1]
             base = [*(above if node.level else []), *([node.module] if node.module else [])]
-            yield ".".join(base), [alias.name for alias in node.names]
+            found.append((".".join(base), [alias.name for alias in node.names]))
         elif isinstance(node, ast.Import):
-            yield from ((alias.name, []) for alias in node.names)
+            found += [(alias.name, []) for alias in node.names]
+    return found
 
 
 def imported(name, path):
