@@ -111,9 +111,10 @@ def _faded(part: np.ndarray) -> np.ndarray:
     part = _bridged(part)
     finite = np.isfinite(part)
     part = np.where(finite, part - (part[finite].mean() if finite.any() else 0), 0)
-    gone = binary_opening(~finite, np.ones((3, 3, 3)))  # single voxels tell nothing wrong
-    if gone.any() and not gone.all():  # else the edge of what is missing would look sharp
-        part = part * np.minimum(distance_transform_edt(~gone) / SPECTRUM.fades, 1)
+    if not finite.all():
+        gone = binary_opening(~finite, np.ones((3, 3, 3)))  # single voxels tell nothing wrong
+        if gone.any() and not gone.all():  # else the edge of what is missing would look sharp
+            part = part * np.minimum(distance_transform_edt(~gone) / SPECTRUM.fades, 1)
     for axis, n in enumerate(part.shape):
         window = np.hanning(n + 2)[1:-1] ** 0.5
         part = part * np.expand_dims(window, tuple(a for a in range(3) if a != axis))
@@ -181,15 +182,32 @@ def _fitted(
     # The modes of one ring belong to one shape: they are not as many draws as they are.
     weight = np.minimum(count, SPECTRUM.most_modes)
 
-    def model(p: np.ndarray) -> np.ndarray:
+    def signal_of(p: np.ndarray) -> np.ndarray:
         width_z, width_yx = np.exp(p[1:3]) * size
-        signal = _shells(kz, k, p[4]) * np.exp(p[0] - (width_z * kz) ** 2 - (width_yx * k) ** 2)
-        whole: np.ndarray = signal + np.exp(p[3])
+        whole: np.ndarray = np.exp(p[0] - (width_z * kz) ** 2 - (width_yx * k) ** 2)
+        return whole * _shells(kz, k, p[4])
+
+    def model(p: np.ndarray) -> np.ndarray:
+        whole: np.ndarray = signal_of(p) + np.exp(p[3])
         return whole
 
-    def loss(p: np.ndarray) -> float:
-        m = model(p)
-        return float((weight * (np.log(m) + power / m)).sum() + known * p[4] ** 2 / 2)
+    def loss(p: np.ndarray) -> tuple[float, np.ndarray]:
+        """And its derivatives."""
+        signal, noise = signal_of(p), np.exp(p[3])
+        m = signal + noise
+        value = float((weight * (np.log(m) + power / m)).sum() + known * p[4] ** 2 / 2)
+        by_model = weight * (1 - power / m) / m
+        by_signal = by_model * signal
+        widths = np.exp(2 * p[1:3]) * size**2
+        long = np.exp(2 * p[4]) * kz**2
+        by = [
+            by_signal.sum(),
+            -2 * widths[0] * (by_signal @ kz**2),
+            -2 * widths[1] * (by_signal @ k**2),
+            noise * by_model.sum(),
+            by_signal @ (2 - 4 * long / (k**2 + long)) + known * p[4],
+        ]
+        return value, np.array(by)
 
     low = squared < np.quantile(squared, SPECTRUM.low_waves)
     start = float(np.log(np.median(power[low] * squared[low]) + 1e-30))
@@ -203,7 +221,7 @@ def _fitted(
         SPECTRUM.log_flat,
     ]
     tried = (
-        minimize(loss, [start, w, w, noise, 0.0], method="L-BFGS-B", bounds=bounds)
+        minimize(loss, [start, w, w, noise, 0.0], jac=True, method="L-BFGS-B", bounds=bounds)
         for w in np.log(SPECTRUM.starts)
     )
     best = min(tried, key=lambda r: float(r.fun))
