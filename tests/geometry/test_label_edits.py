@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.find_cells import find_cells
@@ -65,6 +66,22 @@ def test_nothing_is_added_where_there_is_only_background():
     image, labels = (np.pad(part, ((0, 0), (0, 0), (0, 40))) for part in (image, truth))
     with pytest.raises(InputError, match="no cell is seen around click 1"):
         correct_labels(image, SIZE, labels, [Click((2.4, 3.0, 11.0))])
+
+
+def test_a_nucleus_that_was_missed_is_added_and_no_background():
+    places = [(2.4, y, x) for y in (2.2, 6.2) for x in (2.2, 6.2, 10.2)]
+    at = np.indices((13, 42, 62)) * np.reshape(SIZE, (3, 1, 1, 1))
+    truth = np.zeros(at.shape[1:], np.int32)
+    for k, place in enumerate(places, 1):
+        truth[((at - np.reshape(place, (3, 1, 1, 1))) ** 2).sum(0) < 1.5**2] = k
+    grain = np.random.default_rng(1).normal(size=truth.shape)
+    image = gaussian_filter(10.0 * (truth > 0), (0.5, 1, 1)) + 2 + 0.5 * grain
+    rest = np.where(truth == 5, 0, truth)
+    done = correct_labels(image, SIZE, rest, [Click(places[4])])
+    assert np.array_equal(done[rest > 0], rest[rest > 0])
+    assert same((done > 0) & (rest == 0), truth == 5) > 0.85
+    with pytest.raises(InputError, match="no cell is seen"):
+        correct_labels(image, SIZE, rest, [Click((2.4, 4.2, 12.0))])
 
 
 def test_cells_are_merged_and_removed():

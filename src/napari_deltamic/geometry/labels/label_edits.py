@@ -25,6 +25,7 @@ from napari_deltamic.geometry.labels.cell_rules import CLICKS
 from napari_deltamic.geometry.labels.checked_image import checked_image
 from napari_deltamic.geometry.labels.find_cells import compressed_walls
 from napari_deltamic.geometry.labels.region_merging import Image, Labels
+from napari_deltamic.geometry.labels.regions_at_points import regions_at
 from napari_deltamic.geometry.mesh import FloatArray
 
 Action = Literal["cell", "merge", "remove"]
@@ -89,9 +90,7 @@ class Corrector:
             return
         if self._found is None:
             self._found = compressed_walls(self._data, self._voxel, self._size)
-        fewest = max(
-            CLICKS.fewest, CLICKS.crumb * np.pi / 6 * self._size**3 / float(np.prod(self._voxel))
-        )
+        fewest = max(CLICKS.fewest, CLICKS.crumb * self._voxels_of_cell())
         # All of it is decided before anything is changed.
         names = [int(labels[place]) for _, place in clicks]
         for name in sorted(set(names)):
@@ -100,7 +99,13 @@ class Corrector:
                 _cut(labels, self._found, name, own, self._voxel, fewest)
         missing = [click for click, n in zip(clicks, names, strict=True) if n == 0]
         if missing:
-            _add(labels, self._found, missing, self._voxel, self._size, fewest)
+            least = CLICKS.named * self._voxels_of_cell()
+            given = self._found, self._data, missing, self._voxel, self._size
+            _add(labels, *given, fewest, max(fewest, least))
+
+    def _voxels_of_cell(self) -> float:
+        """Of a typical one."""
+        return float(np.pi / 6 * self._size**3 / np.prod(self._voxel))
 
 
 def correct_labels(
@@ -225,12 +230,18 @@ def _cut(
 def _add(
     labels: Labels,
     walls: Image,
+    image: Image,
     clicks: _Clicks,
     voxel: FloatArray,
     size: float,
     fewest: float,
+    fewest_named: float,
 ) -> None:
-    """Flood the background from the clicks, against the cells around and what lies beyond reach."""
+    """Flood the background from the clicks, against the cells around and what lies beyond reach.
+
+    Where no wall closes around a click, the cell is what a point there would name in the image: a
+    nucleus, for one.
+    """
     places = np.array([place for _, place in clicks])
     reach, seen = CLICKS.reach
     room = np.ceil(seen * reach * size / voxel).astype(int)
@@ -252,15 +263,25 @@ def _add(
     for k, (part, (click, _)) in enumerate(
         zip(ndimage.find_objects(parts, len(clicks)), clicks, strict=True)
     ):
-        if part is None:
-            raise _unseen(click)
-        place = tuple(places[k] - low - [s.start for s in part])
-        cell = _rounded(parts[part] == k + 1, place, voxel, size)
-        whole = np.zeros(own.shape, bool)
-        whole[part] = cell
-        if cell.sum() < fewest or _edge(landscape, whole) < CLICKS.edge:
-            raise _unseen(click)
-        own[part][cell] = outside + k
+        cell = np.zeros(own.shape, bool)
+        if part is not None:
+            place = tuple(places[k] - low - [s.start for s in part])
+            cell[part] = _rounded(parts[part] == k + 1, place, voxel, size)
+        if cell.sum() < fewest or _edge(landscape, cell) < CLICKS.edge:
+            cell = _named(image[box], own == 0, places[k] - low, voxel)
+            if cell.sum() < fewest_named:
+                raise _unseen(click)
+        own[cell] = outside + k
+
+
+def _named(
+    image: Image, free: NDArray[np.bool_], place: NDArray[np.int_], voxel: FloatArray
+) -> NDArray[np.bool_]:
+    """What a point names in an image, where no label is, as far as it is in one piece."""
+    found, _ = regions_at(np.asarray(image, np.float64), voxel, place[None], [1])
+    parts, _ = ndimage.label((found == 1) & free)
+    here: int = parts[tuple(place)]
+    return np.asarray((parts == here) & (here > 0))
 
 
 def _unseen(click: int) -> InputError:
