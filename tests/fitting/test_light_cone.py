@@ -298,7 +298,6 @@ def after_steps(
         return posed(*ends[type(rival.fitted.optics)]), 7
 
     monkeypatch.setattr(f"{module}.stepped", stepped)
-    monkeypatch.setattr(f"{module}.few_cells", lambda *given: given)
     fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
     return (terms, fitted), objective_instead(terms, fitted, None)
@@ -308,6 +307,12 @@ def test_an_objective_that_has_become_narrower_than_voxels_tell_is_not_followed(
     for wavelength, found in ((0.6, True), (0.25, False)):
         _, (optics, _) = after_steps(monkeypatch, 0.8, 1.1, wavelength=wavelength)
         assert (optics is not None) == found
+
+
+def test_one_that_explains_less_than_what_is_too_narrow_is_not_followed_either(monkeypatch):
+    narrow = {"wavelength": 0.25}  # of the confocal one alone
+    assert after_steps(monkeypatch, 0.9, 0.8, **narrow)[1][0] is not None
+    assert after_steps(monkeypatch, 0.7, 0.8, **narrow)[1][0] is None
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,6 @@ def test_another_psf_is_not_asked_where_it_is_known(optics, fit_psf, second):
 
 @pytest.mark.parametrize(("left", "found"), [(0.99 * RULES.left, True), (1.01 * RULES.left, False)])
 def test_tails_have_to_explain_much_more(monkeypatch, left, found):
-    monkeypatch.setattr(psf_tails, "few_cells", lambda *given: given)
     monkeypatch.setattr(psf_tails, "begun", lambda terms, fitted, factored: fitted)
     monkeypatch.setattr(psf_tails, "stepped", lambda rival, hopeless: (rival, 7))
     monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: left)
@@ -143,7 +142,6 @@ def test_steps_end_where_they_gain_too_little(monkeypatch, shares, stops):
         asked.extend([hopeless(rival), hopeless(rival)])
         return rival, 1
 
-    monkeypatch.setattr(psf_tails, "few_cells", lambda *given: given)
     monkeypatch.setattr(psf_tails, "begun", lambda terms, fitted, factored: fitted)
     monkeypatch.setattr(psf_tails, "stepped", stepped)
     monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: next(left, 1.0))

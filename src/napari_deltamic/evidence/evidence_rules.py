@@ -78,6 +78,11 @@ class JudgingRules:
 
     Attributes
     ----------
+    reach, seen
+        Widths of the PSF: from the surface up to which voxels are evidence, so that a halo is seen
+        beside the membrane; beyond the piece from which light still falls into it.
+    most_cells
+        More tell hardly more of what all have in common, and take longer.
     hidden
         Of a column, left beside shape and the rest: less cannot be told from them.
     blocks, fewest_blocks
@@ -98,6 +103,9 @@ class JudgingRules:
         Of adding an effect: more than there are effects to consider, so that all can be taken.
     """
 
+    reach: float = 8.0
+    seen: float = 5.0
+    most_cells: int = 6
     hidden: float = 0.02
     blocks: tuple[float, ...] = (4.0, 8.0, 16.0, 32.0)
     fewest_blocks: int = 12

@@ -8,12 +8,12 @@ from math import log, sqrt
 
 import numpy as np
 
-from ..fitting.crop import crop_of
 from ..fitting.state import FitState
 from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effect, Effects
 from .candidates import allowed, at_estimate, beyond_bounds, points_inwards, variants
+from .crop import crop_of
 from .evidence_rules import JUDGING
 from .fitted_scene import FittedScene
 from .image_model import ImageModel, parameters_of

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from math import ceil, prod, sqrt
 from typing import Any
@@ -188,17 +187,6 @@ class Level:
             torch.from_numpy(np.ascontiguousarray(y[self._sample], dtype=np.float32)),
             *(torch.from_numpy(np.array(m[self._sample], order="C")) for m in (inside, any_inside)),
         )
-
-    def piece(self, grid: Grid, box: tuple[slice, slice, slice], counted: Tensor) -> Level:
-        """This level, which must be the last, of a piece of its image.
-
-        grid : of the piece. counted : (Z, Y, X) bool, which of its voxels may count.
-        """
-        found = copy(self)
-        found.grid, found.counted = grid, counted
-        found.target, found._known = (t[box].contiguous() for t in (self.target, self._known))
-        found.foreign = None if self.foreign is None else self.foreign[box]
-        return found
 
     def offset(self, effects: Effects) -> Tensor | None:
         """(Z, Y, X) what effects add to the measured image; None where nothing is added."""

@@ -282,12 +282,12 @@ class LevelRun:
         return True
 
     def look_back(self) -> None:
-        """Where a fit of both has ended by itself: whether insides alone may explain as much.
+        """Where a fit of both ends, once it has been at rest: whether insides alone may do.
 
         On the way, what is tried for it would be for nothing.
         """
         at = self.at
-        if at.choice.is_open(at.fitted):
+        if at.choice.is_open(at.fitted) and at.stage.progress.answered:
             given = self.terms, self.objective, self._context.factored
             unsure, taken = insides_may_do(*given)
             self.at = at.spent(taken).progressed(replace(at.stage.progress, unsure=unsure))

@@ -22,7 +22,6 @@ from ..optics import ConfocalPSF, GaussianPSF, Optics, ScalarPSF, microscope
 from ..optics.narrow import narrower_than_told
 from ..runs.scene_settings import SIGMA_IN_VOXELS
 from .amplitudes import may_shine
-from .few_cells import few_cells
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
 from .preconditioner import Preconditioners
@@ -109,6 +108,8 @@ def objective_instead(
     narrower than voxels can resolve: it stands in for light that the model lacks, and so would any
     other PSF.
 
+    One that has become so narrow after its steps is dropped, and with it one that explains less.
+
     Returns that PSF as it was before the steps, and of what they found its spherical aberration
     (see :class:`LightConeRules`); None if the Gaussian is held or explains as much. Also the
     evaluations that this took.
@@ -129,12 +130,11 @@ def objective_instead(
     long_at_first = known and _roundness(about) <= RULES.told * roundest
     if not long_at_first and _roundness(fitted.optics.sigma_um) > roundest:
         return None, 0
-    terms, fitted, image = few_cells(terms, fitted, image)
     # One is let go before the other is posed, to save memory.
     of_widefield = share_left(_posed(widefield_of(about), terms, fitted), image)
     leads = share_left(_posed(confocal_of(about), terms, fitted), image) < of_widefield
     found: ThroughObjective | None = None
-    enough, taken = 1.0, 0
+    enough, taken, narrow = 1.0, 0, 1.0
     for made in (confocal_of, widefield_of) if leads else (widefield_of, confocal_of):
         if made is widefield_of and of_widefield > RULES.far:
             continue
@@ -144,11 +144,13 @@ def objective_instead(
         left, taken = share_left(rival, image), taken + more
         # A fit that went on with one too narrow would come back. Measured on real nuclei: 0.38
         # voxel wide after these steps, and given up after 40 iterations.
-        narrow = narrower_than_told(rival.fitted.optics.sigma_um, terms.level.grid.voxel_size)
-        if left < enough and not narrow:
+        if narrower_than_told(rival.fitted.optics.sigma_um, terms.level.grid.voxel_size):
+            narrow = min(left, narrow)
+        elif left < enough:
             found, enough = made(about, _where_to_begin(rival.fitted.optics)), left
         del rival
-    return found, taken
+    # One that explains less than what is too narrow would stand in for that.
+    return found if enough <= narrow else None, taken
 
 
 def _where_to_begin(optics: Optics) -> float | None:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from ..optics import GaussianMixturePSF
-from .few_cells import few_cells
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
 from .light_cone import may_change, share_left
@@ -67,7 +66,6 @@ def tails_instead(
     """
     if not may_change(terms, fitted):
         return None, 0
-    terms, fitted, image = few_cells(terms, fitted, image)
     tailed, looked = core_and_tails(fitted.optics.sigma_um), list[float]()
 
     def hopeless(objective: Objective) -> bool:

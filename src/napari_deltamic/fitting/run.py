@@ -133,7 +133,7 @@ class Run:
             ended = (finished and last) or level.at.over
             following, cone = successor(self, finished) if ended and last else (None, False)
             ends = following is None and ended
-            if ends and finished and last:
+            if ends and last:
                 level.look_back()
             state = replace(level.state(self._kept), cone=cone)
             change = yield self._told(state, ends, finished and last)

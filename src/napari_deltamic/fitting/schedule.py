@@ -129,7 +129,8 @@ class Progress:
     again
         Whether what had left was asked for again, for the last time.
     unsure
-        Whether what else might shine explained as much then, or nearly so.
+        Whether what else might shine explained as much, or nearly so: membranes when they were
+        asked for again; of a fit of both, insides alone where it ended.
     """
 
     iterations: int = 0

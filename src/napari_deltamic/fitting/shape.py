@@ -64,15 +64,6 @@ class Shape:
             log = Density(self.mesh, model, 1.0).of_faces(self.face_densities())
         return replace(self, model=model, log_density=log)
 
-    def part(self, mesh: Mesh, faces: IntArray) -> Shape:
-        """A part of the surface; mesh : of these of its faces, in their order."""
-        used, log = np.unique(self.mesh.faces[faces]), self.log_density
-        if self.model == "smooth" and log is not None:
-            log = log[used]
-        elif self.model == "interface" and log is not None:
-            log = _by_walls(self.mesh, mesh, log)
-        return replace(self, mesh=mesh, log_density=log, pinned=self.pinned[used])
-
     def retriangulated(
         self, mesh: Mesh, origin: IntArray | None = None, carried: FloatArray | None = None
     ) -> Shape:

@@ -1,4 +1,4 @@
-"""A few cells, and the piece of the image around them: they tell what all cells have in common."""
+"""The part of a scene that is judged: a few cells, and the piece of the image around them."""
 
 from __future__ import annotations
 
@@ -7,30 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from ..geometry.mesh import IntArray, Mesh
+from ..fitting.voxel_ownership import surface_voxels
+from ..geometry.mesh import Mesh
 from ..scene import Grid
-from .voxel_ownership import surface_voxels
-
-
-@dataclass(frozen=True)
-class CropRules:
-    """How many cells, and how much around them.
-
-    Attributes
-    ----------
-    cells
-        More tell hardly more of what all have in common, and take longer; chosen.
-    reach, seen
-        Widths of the PSF; chosen: from the surface up to which voxels are evidence, so that a halo
-        is seen beside the membrane; beyond the piece from which light still falls into it.
-    """
-
-    cells: int = 6
-    reach: float = 8.0
-    seen: float = 5.0
-
-
-RULES = CropRules()
+from .evidence_rules import JUDGING
 
 
 @dataclass(frozen=True)
@@ -45,8 +25,6 @@ class Crop:
         Slices of the whole image that it is.
     mesh, density
         Surfaces of the cells in or near it; (F,) relative density, None where uniform.
-    faces
-        (F,) which of all faces they are.
     cells
         Regions whose shape is free.
     index
@@ -59,7 +37,6 @@ class Crop:
     box: tuple[slice, slice, slice]
     mesh: Mesh
     density: np.ndarray | None
-    faces: IntArray
     cells: np.ndarray
     index: np.ndarray
     of: int
@@ -84,7 +61,7 @@ def crop_of(
     cells = _central(mesh, every, grid)
     spacing = np.asarray(grid.voxel_size) / width
     own = _distance(mesh, cells, grid, spacing)
-    near = own <= RULES.reach
+    near = own <= JUDGING.reach
     if len(cells) < len(every):
         near &= own <= _distance(mesh, np.setdiff1d(every, cells), grid, spacing)
     found = usable & near
@@ -95,21 +72,21 @@ def crop_of(
     z, y, x = np.asarray(grid.origin) + first * np.asarray(grid.voxel_size)
     shape = (box[0].stop - first[0], box[1].stop - first[1], box[2].stop - first[2])
     piece = Grid(shape, grid.voxel_size, (float(z), float(y), float(x)))
-    seen, weight, faces = _near_piece(mesh, density, piece, RULES.seen * width)
+    seen, weight = _near_piece(mesh, density, piece, JUDGING.seen * width)
     cells = np.intersect1d(cells, seen.region_ids())
-    return Crop(piece, box, seen, weight, faces, cells, np.flatnonzero(found[box]), len(every))
+    return Crop(piece, box, seen, weight, cells, np.flatnonzero(found[box]), len(every))
 
 
 def _central(mesh: Mesh, regions: np.ndarray, grid: Grid) -> np.ndarray:
     """A few neighbouring regions around the middle of the image."""
-    if len(regions) <= RULES.cells:
+    if len(regions) <= JUDGING.most_cells:
         return regions
     v = mesh.vertices_numpy()
     own = mesh.faces_by_region()
     middles = np.array([v[np.unique(mesh.faces[own[int(r)]])].mean(0) for r in regions])
     first, last = grid.extent
     start = middles[np.argmin(((middles - (first + last) / 2) ** 2).sum(1))]
-    nearest = np.argsort(((middles - start) ** 2).sum(1), kind="stable")[: RULES.cells]
+    nearest = np.argsort(((middles - start) ** 2).sum(1), kind="stable")[: JUDGING.most_cells]
     return np.sort(regions[nearest])
 
 
@@ -135,11 +112,8 @@ def _box(found: np.ndarray) -> tuple[slice, slice, slice]:
 
 def _near_piece(
     mesh: Mesh, density: np.ndarray | None, piece: Grid, margin: np.ndarray
-) -> tuple[Mesh, np.ndarray | None, IntArray]:
-    """The regions that reach near a piece, and their faces among all.
-
-    A wall to one left out keeps both its membranes.
-    """
+) -> tuple[Mesh, np.ndarray | None]:
+    """The regions that reach near a piece; a wall to one left out keeps both its membranes."""
     first, last = piece.extent
     v, kept = mesh.vertices_numpy(), [0]
     regions = mesh.region_ids()
@@ -148,11 +122,11 @@ def _near_piece(
         if (own.max(0) > first - margin).all() and (own.min(0) < last + margin).all():
             kept.append(int(r))
     if len(kept) > len(regions[regions != 0]):
-        return mesh, density, np.arange(len(mesh.faces))
+        return mesh, density
     sides = np.where(np.isin(mesh.regions, kept), mesh.regions, 0)
     faces = (sides != 0).any(1)
     used, index = np.unique(mesh.faces[faces], return_inverse=True)
     part = Mesh(v[used], index.reshape(-1, 3), sides[faces])
     weight = np.ones(len(part.faces)) if density is None else density[faces]
     weight = weight * mesh.membranes()[faces] / part.membranes()
-    return part, weight if np.ptp(weight) > 0 else None, np.flatnonzero(faces)
+    return part, weight if np.ptp(weight) > 0 else None

@@ -3,8 +3,8 @@
 import numpy as np
 
 from napari_deltamic import Grid, Mesh, render
+from napari_deltamic.evidence.crop import crop_of
 from napari_deltamic.evidence.modes import shape_modes
-from napari_deltamic.fitting.crop import crop_of
 from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.optics import GaussianPSF
 
