@@ -111,10 +111,25 @@ def test_cells_beside_the_region_are_told_before_a_fit(doc, with_image, pixels):
         "1 is cut by it"
     )
     doc.cells.choose(layer, ticked=False)
+    one = with_image.add_labels((labels == 3).astype(int), name="one", **PLACE)
+    told = [remark.text for remark in doc.cells.remarks(())]
+    assert "Of 1 cell of 'one', 1 is cut by the border of the region" in told
+    doc.cells.choose(one, ticked=False)
     # Cells that were looked for in the region lie in it.
     place = {**PLACE, "translate": doc.image.frame().translate}
     with_image.add_labels(labels[:, 7:20, 4:24], name="found there", **place)
     assert not any("found" in remark.text for remark in doc.cells.remarks(()))
+
+
+def test_a_layer_that_is_turned_is_told_when_a_fit_starts(doc, with_image):
+    turned = np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
+    labels = np.zeros(SHAPE, int)
+    labels[4:8, 8:14, 8:14] = 1
+    with_image.add_labels(labels, name="turned", rotate=turned, **PLACE)
+    doc.image.take_region(((0, 20), (4, 20), (4, 24)))
+    assert doc.cells.remarks(()) == []
+    with pytest.raises(InputError, match="rotated"):
+        doc.cells.seeds(doc.image.frame(), copied=False)
 
 
 class Waits(Task):

@@ -154,12 +154,26 @@ def test_a_step_that_takes_long_is_told_instead_of_a_time_that_stands_still(
 
     monkeypatch.setattr(worker, "start", slow)
     monkeypatch.setattr(footer, "_LONG", 0.2)
+    monkeypatch.setattr(footer, "_USUAL", 0.0)
     seeded.start()
     spin(lambda: text() == "the next step takes longer: 1 s so far; 4 iterations")
     gate.set()
     spin(lambda: "takes longer" not in text())
     seeded.stop()
     spin(lambda: not seeded.doc.run.running)
+
+
+def test_iterations_that_all_take_long_are_no_longer_step(begun, spin):
+    shown = begun.footer
+    spin(lambda: begun.doc.run.history.loss)
+    begun.stop()
+    spin(lambda: not begun.doc.run.running)
+    snapshot = SimpleNamespace(
+        state=SimpleNamespace(level=1, levels=1), remaining=300.0, iterations_per_second=0.1
+    )
+    begun.doc.run.stopping = False
+    shown._show_fit(snapshot)
+    assert shown._long == 50.0
 
 
 def test_remaining_time_is_told_where_it_is_known(begun, spin, monkeypatch):

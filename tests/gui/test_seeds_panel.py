@@ -98,7 +98,9 @@ def test_another_region_leaves_spheres_as_large_as_they_were(panel, with_image):
 def test_another_region_leaves_the_size_of_cells_as_it_was(panel, with_image, pixels):
     finder = panel.find_cells
     finder.cell_size.setValue(1.7)
+    finder._sizes = [(1.0, 40)]  # as counted in the whole image
     panel._image.take_region(((2, 12), (2, 12), (2, 12)))
+    assert finder._sizes == []
     assert finder.cell_size.value() == pytest.approx(1.7)
     assert finder.tried
     panel._image.choose(with_image.add_image(pixels, scale=SIZE, name="other"))

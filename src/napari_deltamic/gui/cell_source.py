@@ -285,18 +285,22 @@ class CellSource(LayerTicks):
         """Cells that are left out, or cut, as only a region is fitted."""
         found: list[Remark] = []
         for layer in self.ticked if frame.box is not None else ():
-            if isinstance(layer, Labels):
-                labels = stack_of(layer, tuple(self._viewer.dims.current_step))
-                box = frame.region(layer, labels.shape) if labels.ndim == 3 else None
-                found += labels_beside_region(layer.name, labels, box) if box else []
-            elif isinstance(layer, Points):
-                points = np.asarray(layer.data, float)
-                points = points[at_time(layer, points, self._point())]
-                inside = in_region(layer, points, frame)
-                found += beside_region(
-                    f"points of '{layer.name}'", len(points), int((~inside).sum())
-                )
+            with suppress(InputError):  # said when the fit starts
+                found += self._layer_beside(layer, frame)
         return found
+
+    def _layer_beside(self, layer: Any, frame: Frame) -> list[Remark]:
+        if isinstance(layer, Labels):
+            labels = stack_of(layer, tuple(self._viewer.dims.current_step))
+            box = frame.region(layer, labels.shape) if labels.ndim == 3 else None
+            return labels_beside_region(layer.name, labels, box) if box else []
+        if not isinstance(layer, Points):
+            return []
+        points = np.asarray(layer.data, float)
+        points = points[at_time(layer, points, self._point())]
+        points = points[np.isfinite(points).all(axis=1)]  # else told for that
+        beyond = int((~in_region(layer, points, frame)).sum())
+        return beside_region("point", layer.name, len(points), beyond)
 
     def _placeless(self) -> list[Remark]:
         """Points that lie nowhere; their layers cannot be used before these are gone."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..common.words import counted
 from ..errors import listed
 from ..geometry.mesh import FloatArray
 
@@ -124,10 +125,10 @@ def in_labels(
     return remarks
 
 
-def beside_region(of: str, numbers: int, lost: int, cut: int = 0) -> list[Remark]:
+def beside_region(what: str, of: str, numbers: int, lost: int, cut: int = 0) -> list[Remark]:
     """Cells beside the region that is fitted, or cut by its border.
 
-    of : what they are, and whose: "cells of 'found cells'".
+    what, of : what they are, "cell", and of which layer.
     numbers : how many there are in all.
     """
     edge = "the border of the region"
@@ -136,25 +137,26 @@ def beside_region(of: str, numbers: int, lost: int, cut: int = 0) -> list[Remark
         * (lost > 0),
         f"{cut} {'is' if cut == 1 else 'are'} cut by {'it' if lost else edge}" * (cut > 0),
     ]
-    return [Remark(f"Of {numbers} {of}, {'; '.join(filter(None, told))}")] if any(told) else []
+    whole = f"Of {counted(numbers, what)} of '{of}'"
+    return [Remark(f"{whole}, {'; '.join(filter(None, told))}")] if any(told) else []
 
 
 def labels_beside_region(name: str, labels: NDArray[Any], box: tuple[slice, ...]) -> list[Remark]:
     """The same of labels of all the image, of which a box is fitted."""
-    beside = labels.copy()
-    beside[box] = 0
-    numbers, kept = numbers_in(labels), numbers_in(labels[box])
-    cut = len(np.intersect1d(kept, numbers_in(beside)))
-    return beside_region(f"cells of '{name}'", len(numbers), len(numbers) - len(kept), cut)
+    whole, inside = voxels_of(labels), voxels_of(labels[box])
+    cut = sum(whole[number] > count for number, count in inside.items())
+    return beside_region("cell", name, len(whole), len(whole) - len(inside), cut)
 
 
-def numbers_in(labels: NDArray[Any]) -> NDArray[np.int64]:
-    """The labels that there are, however large their numbers; without 0."""
+def voxels_of(labels: NDArray[Any]) -> dict[int, int]:
+    """How many voxels each label has, however large their numbers; without 0."""
     if labels.max(initial=0) > labels.size:
-        numbers = np.unique(labels).astype(np.int64)
-        return numbers[numbers > 0]
-    # Which is faster, but takes memory by the largest number.
-    return np.flatnonzero(np.bincount(labels.ravel().clip(0).astype(np.intp))[1:]) + 1
+        numbers, counts = np.unique(labels, return_counts=True)
+    else:  # which is faster, but takes memory by the largest number
+        counts = np.bincount(labels.ravel().clip(0).astype(np.intp))
+        numbers = np.flatnonzero(counts)
+        counts = counts[numbers]
+    return {int(n): int(c) for n, c in zip(numbers, counts, strict=True) if n > 0}
 
 
 def of_engine(sets: Sequence[PointSet], message: str, numbers: Sequence[int]) -> Remark | None:

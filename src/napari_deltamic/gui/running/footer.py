@@ -13,7 +13,9 @@ from ..document import Document
 from ..widgets import Note, button, column, row, sentence
 from .worker import FitRun, Snapshot
 
-_LONG = 4.0  # s of one iteration after which a forecast says nothing; chosen
+# An iteration takes long after so many seconds, and so many times the usual one: then a forecast
+# says nothing; chosen.
+_LONG, _USUAL = 4.0, 5.0
 
 
 class Footer(QWidget):
@@ -24,6 +26,7 @@ class Footer(QWidget):
         self._doc = doc
         self._of: tuple[Any, ...] = ()  # the image that the reason is about
         self._iterations, self._since = 0, 0.0  # that were shown, and since when
+        self._long = _LONG
         tip = "Fit the surfaces of the cells to the image."
         self.run_button = button("Fit", tip, control.start, self)
         self.run_button.setStyleSheet("font-weight: bold;")
@@ -87,7 +90,7 @@ class Footer(QWidget):
         task: Any = self._doc.work.task
         if isinstance(task, FitRun):
             waited = time.monotonic() - self._since
-            if self._iterations and waited > _LONG and not (task.paused or task.stopping):
+            if self._iterations and waited > self._long and not (task.paused or task.stopping):
                 # It compares what else may shine, or other PSFs, and tells of no iteration then.
                 so_far = f"{waited:.0f} s so far; {counted(self._iterations, 'iteration')}"
                 self.message.say(f"the next step takes longer: {so_far}")
@@ -110,6 +113,7 @@ class Footer(QWidget):
             self._advance(state.level - 1, state.levels, text)
         done, rate = len(run.history.loss), snapshot.iterations_per_second
         self._iterations, self._since = done, time.monotonic()
+        self._long = max(_LONG, _USUAL / rate if rate > 0 else 0.0)
         stands = f"paused after {done} iterations"
         self.message.say(stands if run.paused else progress_text(done, rate, left))
 

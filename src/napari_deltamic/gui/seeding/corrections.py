@@ -19,7 +19,7 @@ from ...common.words import counted
 from ...errors import InputError
 from ...geometry import Click
 from ...geometry.labels.label_edits import Action, Corrector
-from ...runs.seed_checks import numbers_in
+from ...runs.seed_checks import voxels_of
 from ...runs.seeds import LabelSeeds
 from ..cell_source import seeds_from_layer
 from ..document import Document
@@ -87,7 +87,7 @@ class Corrections(QObject):
             self._listen(layer)
             self.bar.explain()
         in_use = self.bar.tool is not None
-        self.count.say(counted(len(numbers_in(np.asarray(layer.data))), "cell") if in_use else "")
+        self.count.say(counted(len(voxels_of(np.asarray(layer.data))), "cell") if in_use else "")
 
     def click(self, place: FloatArray) -> None:
         """Use the tool at a place, um in the image's frame."""

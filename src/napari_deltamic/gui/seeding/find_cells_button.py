@@ -16,7 +16,7 @@ from ...common.words import counted
 from ...errors import InputError
 from ...evidence.tilted_ground import with_ground
 from ...fitting.job import levelled
-from ...runs.seed_checks import numbers_in
+from ...runs.seed_checks import voxels_of
 from ...runs.settings import SceneSettings
 from ...scene import Grid
 from ..document import Document
@@ -100,6 +100,7 @@ class FindCells(QPushButton):
         if same:
             size = float(self.cell_size.value())
             self._set_size(size, least, max(float(sides.max()), size))
+            self._sizes = []
             return
         self._set_size(float(sides.min()) / 3, least, float(sides.max()))
         self._moved, self._sizes = False, []
@@ -115,7 +116,7 @@ class FindCells(QPushButton):
         layer = self._layer
         if layer is not None and layer in self._viewer.layers:
             layer.colormap = label_colormap(layer.data)
-            self._tell(f"{counted(len(numbers_in(layer.data)), 'cell')}.", self.others)
+            self._tell(f"{counted(len(voxels_of(layer.data)), 'cell')}.", self.others)
 
     def find_with(self, size: float | str) -> None:
         self._set_size(float(size))
@@ -135,7 +136,7 @@ class FindCells(QPushButton):
             self._sizes = [(size, 0), *others]
         layer, self._found_in = self._layer_for(frame, labels), image_layer
         others = [(s, k) for s, k in self._sizes if abs(s / size - 1) > _SAME]
-        found = counted(len(numbers_in(labels)), "cell")
+        found = counted(len(voxels_of(labels)), "cell")
         self._tell(f"Found {found} of about {size:.3g} {frame.length}.", others)
         self._cells.choose(layer)
 
