@@ -103,17 +103,17 @@ def test_cells_beside_the_region_are_told_before_a_fit(doc, with_image, pixels):
     assert doc.cells.remarks(()) == []
     doc.image.take_region(((0, 20), (4, 20), (4, 24)))
     told = [remark.text for remark in doc.cells.remarks(())]
-    assert told[0] == "Of 3 cells of 'found', 2 are cut by the border of the region"
-    assert told[1].startswith("Of 2 points of 'clicks', 1 lies beyond the border of the region")
+    assert told[0] == "Of 3 cells in 'found', 2 are cut by the border of the region"
+    assert told[1].startswith("Of 2 points in 'clicks', 1 lies beyond the border of the region")
     doc.image.take_region(((0, 20), (7, 20), (4, 24)))
     assert doc.cells.remarks(())[0].text == (
-        "Of 3 cells of 'found', 1 lies beyond the border of the region, and will not be fitted; "
+        "Of 3 cells in 'found', 1 lies beyond the border of the region, and will not be fitted; "
         "1 is cut by it"
     )
     doc.cells.choose(layer, ticked=False)
     one = with_image.add_labels((labels == 3).astype(int), name="one", **PLACE)
     told = [remark.text for remark in doc.cells.remarks(())]
-    assert "Of 1 cell of 'one', 1 is cut by the border of the region" in told
+    assert "Of 1 cell in 'one', 1 is cut by the border of the region" in told
     doc.cells.choose(one, ticked=False)
     # Cells that were looked for in the region lie in it.
     place = {**PLACE, "translate": doc.image.frame().translate}

@@ -137,7 +137,7 @@ def beside_region(what: str, of: str, numbers: int, lost: int, cut: int = 0) -> 
         * (lost > 0),
         f"{cut} {'is' if cut == 1 else 'are'} cut by {'it' if lost else edge}" * (cut > 0),
     ]
-    whole = f"Of {counted(numbers, what)} of '{of}'"
+    whole = f"Of {counted(numbers, what)} in '{of}'"
     return [Remark(f"{whole}, {'; '.join(filter(None, told))}")] if any(told) else []
 
 
