@@ -213,8 +213,7 @@ class ClickRules:
         and an embryo that were taken away and added again, up to 0.06 in dark background.
     named
         Of the volume of a typical cell: what a click names in the image without a wall around it is
-        at least as large. Chosen; measured in the background of real nuclei: 0.12 was noise, 0.17
-        and more were nuclei without a label.
+        at least as large. Chosen, not measured: half as wide, with a little to spare.
     flat
         A way of one um costs this without a wall, and a wall's height squared more: a dim wall
         (0.5) three voxels wide counts like 40 voxels of nothing, so that ways go around it.
