@@ -19,8 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, maximum_filter
+from scipy.ndimage import maximum_filter
 
+from ..common.gaussian_blur import blurred
 from ..geometry.mesh import FloatArray
 
 
@@ -217,7 +218,7 @@ def _read(
 
     def smooth(image: FloatArray, times: float = 1.0) -> FloatArray:
         of_deep = np.where(deep, image, 0.0)
-        return np.asarray(gaussian_filter(of_deep, times * size, truncate=RULES.cut_off))
+        return np.asarray(blurred(of_deep, (times * size).tolist(), RULES.cut_off), float)
 
     own, model = smooth(insides), smooth(shown)
     faint = _FADES * float(model.max())

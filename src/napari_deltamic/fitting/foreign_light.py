@@ -14,11 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects, maximum_filter
 from skimage.transform import downscale_local_mean
 
+from ..common.gaussian_blur import blurred
 from ..geometry.mesh import FloatArray
 
 
@@ -128,21 +128,7 @@ def _sources(
 
 
 def _blurred(values: NDArray[np.floating], widths: FloatArray) -> NDArray[np.float32]:
-    """Values blurred by a Gaussian, 0 beyond the border; on all threads, unlike SciPy's filter."""
-    image = torch.from_numpy(np.ascontiguousarray(values, np.float32))
-    for axis, width in enumerate(widths.tolist()):
-        voxels = image.shape[axis]
-        far = round(RULES.cut_off * width)
-        weights = np.exp(-((np.arange(far + 1) / width) ** 2) / 2)
-        weights /= 2 * weights.sum() - 1
-        spread = image * float(weights[0])
-        for by, weight in enumerate(weights[1:voxels].tolist(), 1):
-            ahead, behind = (image.narrow(axis, start, voxels - by) for start in (by, 0))
-            spread.narrow(axis, 0, voxels - by).add_(ahead, alpha=weight)
-            spread.narrow(axis, by, voxels - by).add_(behind, alpha=weight)
-        image = spread
-    found: NDArray[np.float32] = image.numpy()
-    return found
+    return blurred(values, widths.tolist(), RULES.cut_off)
 
 
 def _means(values: np.ndarray, steps: NDArray[np.signedinteger]) -> NDArray[np.float32]:

@@ -119,6 +119,7 @@ class Posterior(Prediction):
 
     def __call__(self, at: Variables) -> Evaluation:
         """Value and gradient."""
+        self._shone = None  # before what follows takes the most memory
         unknowns = self._unknowns(at)
         optics = self._optics(unknowns)
         effects = self._imaging.effects_of(at.effects)
@@ -154,6 +155,7 @@ class Posterior(Prediction):
             by_effects,
         )
         value, gradient = self._with_priors(float(nats.detach()), gradient, at)
+        self._shone = at, replace(shining, spectrum=spectrum.detach(), image=first[0].detach())
         return Evaluation(value, gradient, told, first[0].detach(), light)
 
     @property

@@ -118,6 +118,8 @@ class Prediction:
         self._structure, self._density_fitted = structure, density_fitted
         self._faces_on = for_objects(level.device)
         self._kept: tuple[FloatArray, Optics] | None = None
+        # Where gradients were last asked for: a descent that begins there asks for columns, too.
+        self._shone: tuple[Variables, _Shining] | None = None
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -332,7 +334,10 @@ class Prediction:
         effects = effects if further is None else effects.adding(further)
         renderer = self._with(effects)
         otf = renderer.otf(optics)
-        shining = self._shining(renderer, unknowns, otf)
+        if self._shone is not None and self._shone[0] is at and further is None:
+            shining = self._shone[1]
+        else:
+            shining = self._shining(renderer, unknowns, otf)
         spectrum, light = shining.spectrum, shining.light
         image = view.voxels.of(self._level.rendered(renderer, spectrum, otf, shining.image))
         _, found = match(image, self._measured(view, effects), view.voxels.weights)
