@@ -113,17 +113,21 @@ def _sources(
 
     share : fraction of each block that is evidence. where : bool, the blocks of the sources.
     """
-    asked = np.maximum(_blurred(given, widths)[where], 0.0)
+    at = np.flatnonzero(where)
+    asked = np.maximum(_blurred(given, widths).reshape(-1)[at], 0.0)
     found, brightest = np.zeros(given.shape, np.float32), float(given.max())
     if brightest <= 0 or not asked.any():
         return found
     # Squares are sharper than the image, as the sources are.
-    found[where] = np.maximum(given, RULES.faintest * brightest)[where] ** 2 / brightest
+    now = np.maximum(given.reshape(-1)[at], RULES.faintest * brightest) ** 2 / brightest
+    each = found.reshape(-1)
+    each[at] = now
     for _ in range(RULES.rounds):
-        shown = _blurred(share * _blurred(found, widths), widths)[where]
+        shown = _blurred(share * _blurred(found, widths), widths).reshape(-1)[at]
         if not shown.any():
             break
-        found[where] *= (asked / np.maximum(shown, _LEAST * shown.max())) ** RULES.power
+        now *= (asked / np.maximum(shown, _LEAST * shown.max())) ** RULES.power
+        each[at] = now
     return found
 
 
