@@ -48,18 +48,21 @@ def followed(
     even=False,
     mesh=BALL,
     uneven=True,
+    varies=0.1,
 ):
     """After how many legs a rival stops that has gained so much by then, and what it has taken.
 
     over : brightness of insides after each, 1 unless given. less : what the trial should say.
     even : whether brightness deep inside hardly varies. mesh : the cells. uneven : whether insides
-    of both are, by what is left of them.
+    of both are, by what is left of them. varies : by how much brightness deep inside does.
     """
     fitted = SimpleNamespace(mesh=mesh, first_optics=NARROW)
 
     def rival(leg):
         shows = SimpleNamespace(structure=shines)
-        return SimpleNamespace(leg=leg, structure=lambda: shows, fitted=fitted)
+        return SimpleNamespace(
+            leg=leg, structure=lambda: shows, fitted=fitted, insides_vary=lambda: varies
+        )
 
     def gained(one, other):
         # Evened, it gains no more unless given: insides alone are too uneven.
@@ -82,7 +85,8 @@ def followed(
     )
     trial = _followed(_Trial(rival(0), 5), None, 6)
     leg, may = trial.rival.leg, shines != "interior"
-    seen = not (mesh is SHEET and uneven) and (even or not over or over[leg] <= 2.5)
+    denied = uneven if mesh is SHEET else 0.5 < varies < np.inf
+    seen = not denied and (even or not over or over[leg] <= 2.5)
     assert trial.stands == (may and gains[leg] > 100 and seen)
     assert trial.hints == (may and max(gains[: leg + 1]) > 60)
     assert trial.less == (less or not may)
@@ -138,8 +142,15 @@ def test_flat_cells_have_no_membrane_that_may_be_chromatin(monkeypatch):
     assert followed(monkeypatch, *gains, mesh=SHEET, uneven=False) == 1
 
 
-@pytest.mark.parametrize(("mesh", "stands"), [(BALL, True), (SHEET, False)])
-def test_nor_at_once(monkeypatch, mesh, stands):
+@pytest.mark.parametrize(("varies", "legs"), [(0.4, 1), (0.6, 3), (np.inf, 1)])
+def test_nor_have_cells_whose_chromatin_is_as_bright_as_it(monkeypatch, varies, legs):
+    assert followed(monkeypatch, 80.0, 120.0, 140.0, 141.0, varies=varies) == legs
+
+
+@pytest.mark.parametrize(
+    ("mesh", "varies", "stands"), [(BALL, 0.1, True), (BALL, 0.9, False), (SHEET, 0.1, False)]
+)
+def test_nor_at_once(monkeypatch, mesh, varies, stands):
     fitted = SimpleNamespace(
         shape=SimpleNamespace(mesh=mesh),
         first_optics=NARROW,
@@ -150,7 +161,7 @@ def test_nor_at_once(monkeypatch, mesh, stands):
     )
     terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
     shows = SimpleNamespace(structure="both")
-    rival = SimpleNamespace(fitted=fitted, structure=lambda: shows)
+    rival = SimpleNamespace(fitted=fitted, structure=lambda: shows, insides_vary=lambda: varies)
     for name, value in (
         ("begun", rival),
         ("gone_on", (rival, 3)),
