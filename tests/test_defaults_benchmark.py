@@ -1,6 +1,7 @@
 """The scenes of the benchmark of defaults are what they say, by their own renderer."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,8 +34,13 @@ def test_light_is_the_area_wherever_the_surface_lies_in_the_stack():
         assert image.sum() * np.prod(FIELD.voxel) == pytest.approx(ball.areas().sum(), rel=0.01)
 
 
+@cache
+def plain():
+    return made("plain", 0, "a commit")
+
+
 def test_the_truth_has_no_error_and_a_lost_cell_is_off_by_its_radius():
-    scene = made("plain", 0, "a commit")
+    scene = plain()
     same = score(scene, scene.truth)
     assert same.surface < 0.01
     assert abs(same.volume) < 1e-9
@@ -46,7 +52,7 @@ def test_the_truth_has_no_error_and_a_lost_cell_is_off_by_its_radius():
 
 
 def test_a_focus_that_aberrations_move_is_no_error_but_more_is():
-    scene = made("plain", 0, "a commit")
+    scene = plain()
     aberrated = replace(scene, recipe=replace(scene.recipe, aberrated=0.6))
     for away in (0.15, -0.15):
         moved = scene.truth.translated((away, 0, 0))
@@ -56,6 +62,7 @@ def test_a_focus_that_aberrations_move_is_no_error_but_more_is():
     assert score(aberrated, far).surface == pytest.approx(score(scene, nearer).surface, rel=0.05)
 
 
+@pytest.mark.slow
 def test_odd_draws_follow_the_commit_and_even_ones_do_not():
     for draw, same in ((0, True), (1, False)):
         one, other = (rng_of("dim", draw, commit).random() for commit in ("a", "b"))
@@ -91,6 +98,7 @@ def test_what_is_found_of_cells_that_do_not_count_counts_neither_way():
     assert matched(np.where(found == 4, 2, found), true) == 1
 
 
+@pytest.mark.slow
 def test_a_deskewed_stack_keeps_the_labels_of_cells_that_are_mostly_there():
     scene = made("neighbours-nuclei", 0, "")
     cut = deskewed(scene)

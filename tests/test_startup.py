@@ -121,6 +121,7 @@ def test_a_batch_whose_workers_fit_does_not_load_the_engine_itself():
     assert done.stdout.strip() == "[]", done.stderr
 
 
+@pytest.mark.slow
 def test_a_fit_does_not_load_what_torch_traces_with(tmp_path):
     """SymPy takes half a second to load, a tenth of a small fit."""
     code = (

@@ -276,6 +276,7 @@ def ratios(found, seconds, promise):
     return promised / spent, promise.seconds / seconds
 
 
+@pytest.mark.slow
 def test_a_small_fit_takes_about_what_was_forecast(clock):
     """Generous, and in the median of three: threads that wait for a busy core count as work."""
     settings = FitSettings(accuracy=1e-2, levels=NEAR_LEVELS)

@@ -5,13 +5,40 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic.cli import main
+from napari_deltamic.evidence import fit_facts
+from napari_deltamic.evidence.predicted_error import PredictedError
 from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import write_image
+from napari_deltamic.results import html_page, report
+from napari_deltamic.results.picture import picture_png
 
 SIZE = (0.3, 0.2, 0.2)
 SHAPE = (20, 24, 24)
 CENTER = (2.9, 2.3, 2.3)
+
+
+@pytest.fixture(scope="session")
+def a_picture():
+    """Of no fit in particular."""
+    grid = nd.Grid((4, 4, 4), SIZE)
+    nothing = np.zeros(grid.shape)
+    return picture_png(nothing, nothing, sphere((0.5, 0.3, 0.3), 0.2, edge_length=0.2), grid)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch, request, a_picture):
+    """What takes longer than a fit of few iterations, and few tests ask for, is left out."""
+    if "judged" not in request.fixturenames:
+        unknown = PredictedError(unknown="not asked for")
+        monkeypatch.setattr(fit_facts, "predicted_error", lambda *given: unknown)
+        for module in (report, html_page):
+            monkeypatch.setattr(module, "picture_png", lambda *given: a_picture)
+
+
+@pytest.fixture
+def judged():
+    """For tests of the picture of a fit, and of how good it is said to be."""
 
 
 @pytest.fixture(scope="session")

@@ -119,6 +119,7 @@ def test_shape_error(data, tmp_path, run, monkeypatch):
     assert facts["choices"][2]["mean_voxels"] == pytest.approx(0.0525)
 
 
+@pytest.mark.slow
 def test_shape_error_of_an_image_is_at_its_noise(data, run, monkeypatch):
     from napari_deltamic.cli import accuracy_command as module
 

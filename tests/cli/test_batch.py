@@ -199,6 +199,7 @@ def test_ctrl_c_reaches_all_processes_without_tracebacks(stacks, tmp_path):
     assert [row["status"] for row in summary] == ["failed", "not done", "not done"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="the system has no such kill")
 def test_a_kill_loses_nothing_that_is_finished(run, stacks, tmp_path):
     arguments = ("batch", stacks, *SEEDS, "--workers", 0, "-o")

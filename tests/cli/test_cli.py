@@ -29,6 +29,7 @@ FIT = "napari_deltamic.fitting.job.fit"
 # What works -----------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("judged")
 def test_fit_writes_everything(data, tmp_path, run):
     folder = tmp_path / "deep" / "out"
     code, out, err = run(
@@ -80,6 +81,7 @@ def test_run_toml_runs_again_identically(data, tmp_path, run):
     assert settings.scene.effects.names == ("pixel_integration",)
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.parametrize("made", [widefield_of, confocal_of])
 def test_run_toml_has_the_psf_that_a_fit_went_on_with(data, tmp_path, run, monkeypatch, made):
     def states(job, resume=None):
@@ -131,6 +133,7 @@ def test_kinds_of_seeds(data, tmp_path, run, seen, seeds):
     assert options["counted"] is not None  # ground that is nobody's is left out for each
 
 
+@pytest.mark.usefixtures("judged")
 def test_missing_voxels(data, tmp_path, run, seen):
     for name in ("nan", "inf"):
         arguments = ("fit", data / f"{name}.tif", "--seeds", data / "points.csv", *SIGMA)

@@ -6,6 +6,7 @@ scenes = pytest.importorskip("benchmarks.defaults.scenes")
 from benchmarks.defaults.command import fitted, renumbered  # noqa: E402
 from benchmarks.defaults.scoring import score  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("judged")
 COMMIT = "eb6f8a2203be47013e73a9f6a6b5c447cc5e424c"  # whose draws they are
 
 

@@ -8,6 +8,7 @@ from napari_deltamic.cli import demo_command, main
 from napari_deltamic.runs.settings import RunSettings
 
 
+@pytest.mark.usefixtures("judged")
 def test_it_fits_writes_and_says_how_good(tmp_path, capsys):
     assert main(["demo", "--headless", "-o", str(tmp_path)]) == 0
     out = capsys.readouterr().out

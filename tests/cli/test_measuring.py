@@ -146,6 +146,7 @@ def test_an_image_says_what_its_border_cuts(run, tmp_path):
     assert size == pytest.approx(SIZE)
 
 
+@pytest.mark.usefixtures("judged")
 def test_the_folder_of_a_fit(fitted, run, tmp_path):
     folder, image = fitted
     fit_row = rows(folder / "measurements.csv")[0]

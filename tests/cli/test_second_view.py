@@ -20,6 +20,7 @@ def given(data):
     return ("fit", data / "cell.tif", "--seeds", data / "start.ply", *SIGMA, *SHORT)
 
 
+@pytest.mark.usefixtures("judged")
 def test_it_reaches_the_fit_and_run_toml_repeats_it(data, given, tmp_path, run):
     pixels = read_image(data / "cell.tif")[0]
     path = tmp_path / "second.tif"

@@ -101,6 +101,7 @@ def test_a_known_psf_tells_them_apart():
     assert np.mean(moved) < 0.25 * FURTHER
 
 
+@pytest.mark.slow
 def test_photons_tell_them_apart():
     few, many = (ended(0.0, n, fit_psf=True) for n in (100.0, 5000.0))
     few, many = (inwards(one[2], found(*one).moved) if found(*one) else 0.0 for one in (few, many))

@@ -74,6 +74,7 @@ def test_the_search_begins_with_the_numbers_that_a_fit_has_found(monkeypatch):
     assert asked == [begun, found]
 
 
+@pytest.mark.slow
 def test_light_from_inside_is_no_effect_and_stays_free():
     """A fit without the halo takes it for light inside, twice as much as there is."""
     given = photons(light=Light(1.0, 0.15), seed=1), 0.15

@@ -48,18 +48,27 @@ def halved(labels):
     return np.where((labels > 0) & right, 2, labels)
 
 
-@pytest.mark.parametrize("light", [Light(1.0, 0.0), Light(0.0, 1.0), Light(1.0, 1.0)])
+@pytest.mark.parametrize(
+    "light",
+    [
+        Light(1.0, 0.0),
+        *(pytest.param(one, marks=pytest.mark.slow) for one in (Light(0.0, 1.0), Light(1.0, 1.0))),
+    ],
+)
 def test_a_wall_through_one_cell_is_hardly_seen(light):
     assert unseen_walls(fitted(ONE, halved(labels_of(ONE)), light)) == {1: 2, 2: 1}
 
 
-@pytest.mark.parametrize("light", [Light(1.0, 0.0), Light(1.0, 1.0)])
+@pytest.mark.parametrize(
+    "light", [Light(1.0, 0.0), pytest.param(Light(1.0, 1.0), marks=pytest.mark.slow)]
+)
 def test_a_wall_that_shines_is_seen(light):
     last = fitted(TWO, labels_of(TWO), light)
     assert unseen_walls(last) == {}
     assert folds(last) == {}
 
 
+@pytest.mark.slow
 def test_insides_of_two_brightnesses_show_their_wall():
     uneven = Light(0.0, 1.0, ((1, 1.0), (2, 0.6)))
     last = fitted(TWO, labels_of(TWO), Light(0.0, 1.0))

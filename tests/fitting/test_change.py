@@ -31,6 +31,7 @@ def finished(states, state):
     return [state, *states][-1]
 
 
+@pytest.mark.slow
 def test_an_empty_change_does_no_harm(image):
     states, _ = begun(image)
     state = states.send(Change())
@@ -114,6 +115,7 @@ def test_takes_other_settings(image):
     np.testing.assert_allclose(last.optics.sigma_um, OPTICS.sigma_um, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_takes_another_density_model(image):
     states, _ = begun(image)
     state = states.send(Change(settings=QUICK.model_copy(update={"density": "smooth"})))
@@ -145,7 +147,7 @@ def test_a_change_is_part_of_the_checkpoint(image, tmp_path):
 @pytest.mark.parametrize(
     ("change", "effects"),
     [
-        (Change(optics=GaussianPSF(0.2)), ()),
+        pytest.param(Change(optics=GaussianPSF(0.2)), (), marks=pytest.mark.slow),
         (Change(effects=Effects.of(Halo(fraction=0.1, width=0.6))), (Halo(width=0.2),)),
     ],
 )

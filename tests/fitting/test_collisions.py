@@ -227,9 +227,9 @@ def two():
     return touching()
 
 
-def fitted(two, collisions):
+def fitted(two, collisions, **more):
     cells, image, starts = two
-    settings = FitSettings(levels=(3.0, 1.0), collisions=collisions)
+    settings = FitSettings(levels=(3.0, 1.0), collisions=collisions, **more)
     states = list(fit(image, GRID, starts, OPTICS, settings=settings))
     return states, apart(states[-1].mesh, cells)
 
@@ -247,7 +247,7 @@ def test_cells_that_touch_do_not_cross(two):
 def test_without_the_extension_two_cells_are_fitted_as_they_are(two, monkeypatch):
     monkeypatch.setitem(sys.modules, "napari_deltamic.geometry._remesh", None)
     monkeypatch.delattr(geometry, "_remesh", raising=False)
-    states, _ = fitted(two, True)
+    states, _ = fitted(two, True, max_iterations=10)
     assert len(states[-1].mesh.region_ids()) == 2
 
 

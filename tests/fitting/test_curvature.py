@@ -158,6 +158,7 @@ def test_held_vertices_stay():
     assert moved[~held].max() > 0
 
 
+@pytest.mark.slow
 def test_replicas_scatter_as_fits_do():
     """Volumes after one Gauss-Newton step from the truth, noise of photons, equal weights."""
     volumes, told = [], []

@@ -164,6 +164,7 @@ def varies_in_a_fit(image: np.ndarray, monkeypatch) -> float:
     return found[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_a_fit_knows_by_how_much_its_insides_vary(share, monkeypatch):
     """Of the peak of a membrane's image, which is as bright as the insides here."""
@@ -185,7 +186,10 @@ def test_dark_insides_are_shown_or_not():
     assert dark_insides_shown(CELLS, model, image(0.5), EVERYWHERE) == {}
 
 
-@pytest.mark.parametrize(("shown", "name"), [({1: 0.02}, "membrane"), ({1: 1.0}, "both")])
+@pytest.mark.parametrize(
+    ("shown", "name"),
+    [({1: 0.02}, "membrane"), pytest.param({1: 1.0}, "both", marks=pytest.mark.slow)],
+)
 def test_a_fit_drops_dark_insides_that_the_image_does_not_show(shown, name, monkeypatch):
     """Both shine in this image, so that only what is tested here can take the insides away."""
     asked = []

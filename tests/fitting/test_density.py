@@ -35,6 +35,7 @@ def test_smooth_density_of_a_sphere_brighter_on_one_side():
     assert apart(last.mesh) < 0.05
 
 
+@pytest.mark.slow
 def test_density_of_each_interface():
     grid = Grid((20, 24, 44), GRID.voxel_size)
     centers = [(0.95, 1.15, 1.1), (0.95, 1.15, 3.2)]
@@ -49,7 +50,7 @@ def test_density_of_each_interface():
 
 
 @pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
-@pytest.mark.parametrize("noise", [None, 1])
+@pytest.mark.parametrize("noise", [pytest.param(None, marks=pytest.mark.slow), 1])
 def test_density_of_a_double_bubbles_wall_counts_its_two_membranes(noise):
     grid = Grid((28, 28, 40), (0.1, 0.1, 0.1))
     centers, radii = np.array([(1.35, 1.35, 1.4), (1.35, 1.35, 2.5)]), np.array([0.8, 0.8])
@@ -170,7 +171,12 @@ def test_walls_that_differ_are_not_uneven():
 
 @pytest.mark.parametrize(
     ("cells", "levels", "interior", "first"),
-    [(2, 1, 8.0, True), (2, 1, 0.0, False), (1, 1, 8.0, False), (2, 2, 8.0, False)],
+    [
+        (2, 1, 8.0, True),
+        (2, 1, 0.0, False),
+        pytest.param(1, 1, 8.0, False, marks=pytest.mark.slow),
+        pytest.param(2, 2, 8.0, False, marks=pytest.mark.slow),
+    ],
 )
 def test_walls_come_before_places_within_them_in_several_cells_that_shine_inside(
     cells, levels, interior, first
@@ -219,7 +225,7 @@ def test_a_smooth_density_waits_for_the_first_shape_and_that_of_interfaces_does_
     assert (max(first) == 0) == (model == "smooth")
 
 
-@pytest.mark.parametrize("levels", [(1.0,), (1.2, 1.0)])
+@pytest.mark.parametrize("levels", [pytest.param((1.0,), marks=pytest.mark.slow), (1.2, 1.0)])
 def test_short_schedules_fit_the_density(levels):
     settings = FitSettings(density="smooth", levels=levels, max_iterations=80)
     last = fitted(measured(density=one_sided(TRUTH)), start(1), settings=settings)

@@ -111,7 +111,8 @@ def test_voxels_are_trusted_less_where_uneven_insides_shine():
     assert weights == pytest.approx([3 / 1, 3 / 5, 3 / 6])
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3])
 def test_a_nucleus_with_fine_chromatin_keeps_no_membrane(seed):
     """1.0 and 0.39 voxel off when any membrane that explained the border was believed."""
     image = np.random.default_rng(4).poisson(4 + 100 * INSIDE * field(0.3, seed, 1.5)).astype(float)
@@ -121,7 +122,7 @@ def test_a_nucleus_with_fine_chromatin_keeps_no_membrane(seed):
     assert surface_distance(last.mesh, BALL).mean < 0.35
 
 
-@pytest.mark.parametrize("sd", [0.0, 0.35])
+@pytest.mark.parametrize("sd", [pytest.param(0.0, marks=pytest.mark.slow), 0.35])
 def test_a_grainy_nucleus_is_found(sd):
     """0.32 voxel off where its image is taken as it is."""
     image = np.random.default_rng(4).poisson(4 + 80 * INSIDE * field(sd, seed=5)).astype(float)
@@ -131,7 +132,7 @@ def test_a_grainy_nucleus_is_found(sd):
     assert surface_distance(last.mesh, BALL).mean < (0.22 if sd else 0.06)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [*(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2)), 3])
 def test_the_height_of_a_flat_nucleus_does_not_follow_its_chromatin(seed):
     """Read deep inside alone, its volume was 0.59 to 0.66 of it, its surface 1.1 to 1.4 um off."""
     grid, optics = Grid((8, 44, 44), (4.0, 1.0, 1.0)), GaussianPSF((4.5, 1.2, 1.2))

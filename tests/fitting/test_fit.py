@@ -63,7 +63,7 @@ def test_anisotropic_voxels_and_an_origin():
     assert apart(last.mesh, truth) < 0.1
 
 
-@pytest.mark.parametrize("likelihood", ["gaussian", "paper"])
+@pytest.mark.parametrize("likelihood", ["gaussian", pytest.param("paper", marks=pytest.mark.slow)])
 def test_other_likelihoods_find_the_sphere(image, likelihood):
     settings = FitSettings(likelihood=likelihood, levels=(2.0, 1.0))
     last = fitted(image, start(2), settings=settings)
@@ -162,6 +162,7 @@ def test_says_when_it_gave_up(image):
 # ----------------------------------------------------------------------------- reproducibility
 
 
+@pytest.mark.slow
 def test_two_runs_agree(states, image):
     again = fitted(image)
     assert again.iteration == len(states)

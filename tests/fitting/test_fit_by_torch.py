@@ -13,7 +13,7 @@ from napari_deltamic.scene import Renderer
 GRID, OPTICS = nd.Grid((24, 25, 26), (0.2, 0.2, 0.2)), nd.GaussianPSF(0.3)
 
 
-@pytest.mark.parametrize("accuracy", [1e-2, 1e-5])
+@pytest.mark.parametrize("accuracy", [1e-2, pytest.param(1e-5, marks=pytest.mark.slow)])
 def test_a_fit_ends_where_that_of_the_compiled_loops_does(monkeypatch, accuracy):
     image = nd.render(sphere((2.4, 2.3, 2.5), 1.2, subdivisions=2), GRID, OPTICS)
     start = sphere((2.2, 2.4, 2.5), 0.9, subdivisions=2)

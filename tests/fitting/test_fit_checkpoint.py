@@ -28,9 +28,11 @@ def test_a_checkpoint_is_of_the_state_or_shortly_before(image, tmp_path):
 @pytest.mark.parametrize(
     ("at", "settings", "within"),
     [
-        (25, FitSettings(levels=(2.0, 1.0)), 1e-6),
+        pytest.param(25, FitSettings(levels=(2.0, 1.0)), 1e-6, marks=pytest.mark.slow),
         (45, FitSettings(levels=(1.5, 1.0), fit_psf=True), 1e-6),
-        (20, FitSettings(levels=(1.5, 1.0), density="uniform"), 1e-6),
+        pytest.param(
+            20, FitSettings(levels=(1.5, 1.0), density="uniform"), 1e-6, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_resumed_fit_ends_as_the_uninterrupted_one(image, tmp_path, at, settings, within):

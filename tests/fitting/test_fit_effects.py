@@ -65,6 +65,7 @@ def numbers(effect):
     return np.array([v.value for v in effect.values()])
 
 
+@pytest.mark.slow
 def test_finds_the_light_inside_beside_an_effect():
     image = scene(Attenuation(per_um=0.15), light=Light(1.0, 0.3))
     # A smooth brightness would follow depth as well.
@@ -133,7 +134,8 @@ def test_numbers_stay_within_their_bounds():
     assert last.effects.halo.width >= 0.05
 
 
-@pytest.mark.parametrize("density", [pytest.param(-0.3, marks=pytest.mark.slow), -1.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("density", [-0.3, -1.0])
 def test_an_inside_darker_than_the_medium_around_is_found(density):
     image = scene(light=Light(1.0, density), background=40.0)
     last = fitted(image, near(), settings=NEAR.model_copy(update={"structure": "both"}))
@@ -164,6 +166,7 @@ def test_voxels_of_a_dark_inside_count(monkeypatch):
     assert found[inside].all()
 
 
+@pytest.mark.slow
 def test_a_number_that_shows_nowhere_yet_is_no_obstacle():
     """The width of a halo without light."""
     effects = Effects.of(Halo(fraction=0.0))
@@ -175,6 +178,7 @@ def test_a_number_that_shows_nowhere_yet_is_no_obstacle():
 # ------------------------------------------------------------------------------- the likelihood
 
 
+@pytest.mark.slow
 def test_saturated_voxels_are_at_least_that_bright():
     """With or without a camera that says so; as they stand, they would be 1.5 times too dark."""
     image = measured(noise=3)
@@ -250,7 +254,8 @@ def test_effects_can_be_switched_on_while_a_fit_runs():
     assert last.effects.attenuation.per_um == pytest.approx(0.15, abs=0.02)
 
 
-@pytest.mark.parametrize("effect", [pytest.param("attenuation", marks=pytest.mark.slow), "halo"])
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["attenuation", "halo"])
 def test_a_resumed_fit_ends_as_the_uninterrupted_one(tmp_path, effect):
     image, path = scene(light=Light(1.0, 0.3)), tmp_path / "checkpoint.npz"
     for state in fit(image, GRID, start(2), OPTICS, settings=NEAR, effects=(effect,)):

@@ -12,7 +12,7 @@ def image():
     return measured()
 
 
-@pytest.mark.parametrize("value", [200.0, 65535.0])
+@pytest.mark.parametrize("value", [pytest.param(200.0, marks=pytest.mark.slow), 65535.0])
 def test_a_hot_voxel_is_left_out_and_told(image, value):
     spoilt = image.copy()
     spoilt[2, 3, 4] = spoilt[12, 15, 20] = value * image.max()

@@ -178,7 +178,8 @@ def test_what_a_user_has_changed_is_not_begun_anew():
     assert predicted_error(FitInput(*given), last).cone
 
 
-@pytest.mark.parametrize("optics", [pytest.param(OBJECTIVE, marks=pytest.mark.slow), CONFOCAL])
+@pytest.mark.slow
+@pytest.mark.parametrize("optics", [OBJECTIVE, CONFOCAL])
 def test_a_checkpoint_goes_on_with_the_psf_that_was_found(tmp_path, optics):
     states = states_of(optics)
     first = [type(state.optics) for state in states].index(type(optics))
@@ -412,6 +413,7 @@ def test_a_confocal_fit_begins_anew_where_it_is_much_aberrated(monkeypatch, sphe
 ABERRATED_PSF = nd.ConfocalPSF(nd.ScalarPSF(1.2, 0.6, 1.33, spherical=0.6), 0.56)
 
 
+@pytest.mark.slow
 def test_a_cell_below_a_coverslip_is_found():
     states = states_of(ABERRATED_PSF)
     assert any(ABERRATED in state.message for state in states)
@@ -422,6 +424,7 @@ def test_a_cell_below_a_coverslip_is_found():
     assert off(states[-1]) < 0.5 * off(states[first - 1])
 
 
+@pytest.mark.slow
 def test_a_checkpoint_goes_on_with_an_aberrated_psf(tmp_path):
     states = states_of(ABERRATED_PSF)
     first = [type(state.optics) for state in states].index(nd.ConfocalPSF)

@@ -47,6 +47,7 @@ def test_too_few_voxels_or_no_noise_tell_nothing(left: np.ndarray) -> None:
     assert not is_sharpened(left, ONE, ONE)
 
 
+@pytest.mark.slow
 def test_the_bright_rim_of_a_deconvolved_nucleus_is_no_membrane() -> None:
     """With a membrane further in, it was more than 0.6 voxel too small."""
     grid, optics, radius = nd.Grid((26, 26, 26), (0.2,) * 3), nd.GaussianPSF(0.25), 1.5

@@ -48,7 +48,9 @@ def test_insides_are_those_of_the_cpu(method, monkeypatch):
         assert (ours - theirs).norm() <= 1e-3 * theirs.norm()
 
 
-@pytest.mark.parametrize(("accuracy", "start"), [(1e-3, START), (0.0, COARSE)])
+@pytest.mark.parametrize(
+    ("accuracy", "start"), [(1e-3, START), pytest.param(0.0, COARSE, marks=pytest.mark.slow)]
+)
 def test_a_fit_goes_where_that_of_the_cpu_goes(accuracy, start, monkeypatch):
     image = 2 + expected_image(TRUTH, GRID, OPTICS, 1e-4, 1.0, 0.0, light=BOTH)
     given = FitSettings(accuracy=accuracy, levels=(1.0,), max_iterations=3)

@@ -86,6 +86,7 @@ def test_a_checkpoint_goes_on_with_a_core_and_tails(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_fit_goes_back_where_tails_explain_less(monkeypatch):
     asked = []
 
@@ -190,6 +191,7 @@ def test_a_run_that_was_edited_is_not_asked_for_tails(monkeypatch):
     assert not asked
 
 
+@pytest.mark.slow
 def test_what_shines_is_held(monkeypatch):
     """Even where all may shine: in two nuclei, membranes took the credit of the tails."""
     begun_with, own = [], psf_tails.begun

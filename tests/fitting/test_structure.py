@@ -59,8 +59,8 @@ def fitted_to(light: Light) -> nd.fitting.FitState:
     ("light", "name"),
     [
         (MEMBRANES, "membrane"),
-        (INSIDES, "interior"),
-        (Light(1.0, 1.5), "both"),
+        pytest.param(INSIDES, "interior", marks=pytest.mark.slow),
+        pytest.param(Light(1.0, 1.5), "both", marks=pytest.mark.slow),
         (Light(1.0, -0.8), "both"),
     ],
 )
@@ -139,6 +139,7 @@ def test_mixtures_are_those_of_least_squares() -> None:
     assert mixture(*columns, measured - 4 * columns[0], weights) == Light(0.0, -1.0)
 
 
+@pytest.mark.slow
 def test_insides_that_left_at_the_start_come_back(monkeypatch):
     """Walls that labels drew wrongly hide them at first; a fit of one level asks once more."""
     answers = iter([structure_choice.Chosen("membrane", False)])
@@ -156,7 +157,7 @@ def test_insides_that_left_at_the_start_come_back(monkeypatch):
     ("light", "name"),
     [
         (INSIDES, "interior"),
-        (Light(1.0, 4.0), "both"),
+        pytest.param(Light(1.0, 4.0), "both", marks=pytest.mark.slow),
         pytest.param(MEMBRANES, "both", marks=pytest.mark.slow),
     ],
 )
@@ -172,6 +173,7 @@ def test_faint_membranes_leave_at_rest_where_insides_explain_as_much(light, name
         assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.02
 
 
+@pytest.mark.slow
 def test_faint_membranes_stay_where_both_are_asked_for(monkeypatch):
     monkeypatch.setattr(
         Objective, "structure", lambda o: structure_choice.Chosen("both", False, faint=True)
@@ -180,7 +182,12 @@ def test_faint_membranes_stay_where_both_are_asked_for(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("light", "name"), [(Light(1.0, 1.0), "both"), (Light(1.0, 3.0), "both"), (INSIDES, "interior")]
+    ("light", "name"),
+    [
+        (Light(1.0, 1.0), "both"),
+        pytest.param(Light(1.0, 3.0), "both", marks=pytest.mark.slow),
+        pytest.param(INSIDES, "interior", marks=pytest.mark.slow),
+    ],
 )
 def test_membranes_come_back_where_labels_reached_out_too_far(light, name):
     """One level, from where the light of the membranes ends."""
@@ -191,6 +198,7 @@ def test_membranes_come_back_where_labels_reached_out_too_far(light, name):
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
 
 
+@pytest.mark.slow
 def test_membranes_come_back_from_the_start(monkeypatch):
     """With other triangles than the fit had come to."""
     monkeypatch.setattr(
@@ -215,6 +223,7 @@ def test_membranes_come_back_from_the_start(monkeypatch):
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
 
 
+@pytest.mark.slow
 def test_a_change_on_trial_is_judged_before_what_shines_is_asked(monkeypatch):
     """By another light, it would be undone, and the old light with it."""
     order, asked, judged = [], model_choice.ModelChoice.asked_anew, SurfaceUpkeep.judged
@@ -226,7 +235,14 @@ def test_a_change_on_trial_is_judged_before_what_shines_is_asked(monkeypatch):
     assert order[:2] == ["judged", "asked"]
 
 
-@pytest.mark.parametrize(("inside", "larger"), [(0.8, 1.4), (1.0, 1.4), (2.0, 1.35)])
+@pytest.mark.parametrize(
+    ("inside", "larger"),
+    [
+        pytest.param(0.8, 1.4, marks=pytest.mark.slow),
+        (1.0, 1.4),
+        pytest.param(2.0, 1.35, marks=pytest.mark.slow),
+    ],
+)
 def test_membranes_come_back_where_both_are_asked_for(inside, larger):
     """Starts from which a fit of both ends with insides alone, half as large again as the cell."""
     start = cell().with_vertices(MIDDLE + (cell().vertices_numpy() - MIDDLE) * larger)
@@ -237,7 +253,12 @@ def test_membranes_come_back_where_both_are_asked_for(inside, larger):
 
 
 @pytest.mark.parametrize(
-    ("light", "name"), [(Light(1.0, 2.0), "both"), (MEMBRANES, "membrane"), (INSIDES, "interior")]
+    ("light", "name"),
+    [
+        (Light(1.0, 2.0), "both"),
+        pytest.param(MEMBRANES, "membrane", marks=pytest.mark.slow),
+        pytest.param(INSIDES, "interior", marks=pytest.mark.slow),
+    ],
 )
 def test_insides_come_back_where_cells_began_too_small_to_show_them(light, name):
     """A start inside the cell, in which membranes and insides look alike."""
@@ -305,7 +326,10 @@ def test_membranes_are_denied_where_insides_alone_explain_more_once_they_are_eve
     assert not rival_structures.stand(both, both, [-gain, gain])
 
 
-@pytest.mark.parametrize(("light", "name"), [(INSIDES, "interior"), (MEMBRANES, "membrane")])
+@pytest.mark.parametrize(
+    ("light", "name"),
+    [pytest.param(INSIDES, "interior", marks=pytest.mark.slow), (MEMBRANES, "membrane")],
+)
 def test_small_cells_that_began_too_small_are_what_they_are(light, name):
     """A membrane at 0.77 of the radius spreads its light as an inside does."""
     grid, radius = nd.Grid((24, 34, 34), (0.2, 0.2, 0.2)), 1.05

@@ -86,6 +86,7 @@ def test_cells_that_come_to_touch_share_a_wall():
     assert told == "cell 1 touches cell 2"
 
 
+@pytest.mark.slow
 def test_a_neck_is_pinched_off():
     apart = two_in_one(sphere((-0.75, 0, 0), 0.6, 0.12), sphere((0.75, 0, 0), 0.6, 0.12))
     truth, start = beside(apart, 1.9, 0.5), beside(dumbbell(0.3, 0.2), 1.9, 0.45)
@@ -94,6 +95,7 @@ def test_a_neck_is_pinched_off():
     assert told == "cell 1 was pinched off into 2 pieces"
 
 
+@pytest.mark.slow
 def test_a_hole_closes():
     disc = sphere((0, 0, 0), 1.4, 0.14)
     flat = disc.with_vertices(disc.vertices_numpy() * (0.45, 1, 1))
@@ -108,6 +110,7 @@ def test_a_hole_closes():
     assert told.split("; ")[0] == "a hole in cell 1 has closed"
 
 
+@pytest.mark.slow
 def test_neighbours_stay_where_that_is_wanted():
     settings = SETTINGS.model_copy(update={"topology": False})
     start = four(0.5, 0.2)
@@ -134,7 +137,9 @@ def changed_once(monkeypatch, start, look):
     return balls
 
 
-@pytest.mark.parametrize("look", ["pressing", "worth_a_trial"])
+@pytest.mark.parametrize(
+    "look", ["pressing", pytest.param("worth_a_trial", marks=pytest.mark.slow)]
+)
 def test_a_change_that_the_image_speaks_against_is_undone(look, monkeypatch):
     start = four(0.6, 0.2, radius=0.7)
     image, grid = photographed(four(0.6, 0.12), start, **TAKEN)

@@ -33,7 +33,13 @@ def told(states):
     return [(s.iteration, s.events) for s in states if s.events]
 
 
-@pytest.mark.parametrize("later", [-12, -1, 0, 2, 12, 22])
+@pytest.mark.parametrize(
+    "later",
+    [
+        k if k in (-1, 2) else pytest.param(k, marks=pytest.mark.slow)
+        for k in (-12, -1, 0, 2, 12, 22)
+    ],
+)
 def test_a_resumed_fit_goes_on_as_if_it_had_not_stopped(whole, later):
     states, image, folder = whole
     events = told(states)

@@ -80,9 +80,8 @@ def test_nothing_is_tried_where_that_is_switched_off():
 COLLAPSES = pytest.param(0.6, 2000, marks=pytest.mark.xfail(strict=True, reason="judged too soon"))
 
 
-@pytest.mark.parametrize(
-    ("half", "photons"), [COLLAPSES, (0.9, 200), pytest.param(0.9, 2000, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("half", "photons"), [COLLAPSES, (0.9, 200), (0.9, 2000)])
 def test_a_wrong_neighbour_is_exchanged_or_told(half, photons):
     """A wrong wall shrinks until the image can hardly tell it from none: 0 to 5 of 8 are found."""
     truth = five(half)
@@ -92,8 +91,11 @@ def test_a_wrong_neighbour_is_exchanged_or_told(half, photons):
     assert all(len(state.density) == len(state.mesh.faces) for state in states)
 
 
-@pytest.mark.parametrize("photons", [40, 2000])
-@pytest.mark.parametrize("half", [0.55, pytest.param(0.68, marks=pytest.mark.slow), 0.9])
+@pytest.mark.parametrize("photons", [40, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "half",
+    [0.55, pytest.param(0.68, marks=pytest.mark.slow), pytest.param(0.9, marks=pytest.mark.slow)],
+)
 def test_right_neighbours_stay(half, photons):
     truth = five(half)
     states, told = fitted(truth, remesh(truth, EDGE).mesh, photons)
@@ -102,7 +104,7 @@ def test_right_neighbours_stay(half, photons):
     assert told == "" or told.startswith("undecided")
 
 
-@pytest.mark.parametrize("wrong", [True, False])
+@pytest.mark.parametrize("wrong", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_where_the_image_says_neither_the_present_neighbours_stay(wrong):
     """A wall as wide as the PSF: the two best shapes differ by less than an error."""
     truth = five(0.68)
@@ -132,6 +134,7 @@ def test_a_gap_that_is_not_in_the_image_closes():
     assert "has closed" in told
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(
     reason="judged before all has come to rest: it closes with three of four draws", strict=True
 )

@@ -39,7 +39,7 @@ def touching_labels() -> np.ndarray:
     return np.where(outside.min(0) < 0.25, outside.argmin(0) + 1, 0)
 
 
-@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("closed", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_the_wall_between_two_nuclei_stays_where_they_meet(closed, monkeypatch) -> None:
     """Free to end anywhere, as where membranes shine, it wanders through one of them."""
     if not closed:
@@ -55,7 +55,10 @@ def test_the_wall_between_two_nuclei_stays_where_they_meet(closed, monkeypatch) 
     assert not any(np.isnan(off))
 
 
-@pytest.mark.parametrize(("light", "name"), [(INSIDES, "interior"), (MEMBRANES, "membrane")])
+@pytest.mark.parametrize(
+    ("light", "name"),
+    [(INSIDES, "interior"), pytest.param(MEMBRANES, "membrane", marks=pytest.mark.slow)],
+)
 def test_what_shines_in_small_cells_is_asked_of_the_image(light, name) -> None:
     """Of 2.3 widths of the PSF: an inside, or a membrane further in, explains it as well."""
     places, radii = PLACES[[0, 2]], np.array([0.65, 0.62])

@@ -54,6 +54,7 @@ def test_slivers_go_and_the_fit_converges(remeshed):
     assert 0.7 < last.mesh.median_edge() / start.median_edge() < 1.6
 
 
+@pytest.mark.slow
 def test_not_where_it_is_not_wanted(image):
     kept = ends(
         fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS.model_copy(update={"remesh": False}))
@@ -63,7 +64,7 @@ def test_not_where_it_is_not_wanted(image):
     assert np.array_equal(ends(fit(image, GRID, good, OPTICS)).mesh.faces, good.faces)
 
 
-@pytest.mark.parametrize("density", ["smooth", "interface"])
+@pytest.mark.parametrize("density", ["smooth", pytest.param("interface", marks=pytest.mark.slow)])
 def test_the_density_goes_along(image, density):
     settings = SETTINGS.model_copy(update={"density": density})
     last = ends(fit(image, GRID, squeezed(), OPTICS, settings=settings))

@@ -61,6 +61,7 @@ def test_a_dim_cell_is_as_large_as_a_bright_one(light, ratio):
     assert other / one == pytest.approx(ratio, rel=0.12)
 
 
+@pytest.mark.slow
 def test_a_bright_cell_that_was_cut_is_as_bright_as_its_border_says():
     """Cut at 0.6 of its brightness; the other one is no uneven part of the same.
 
@@ -99,7 +100,9 @@ def test_at_blurred_levels_they_stay_as_they_were_found():
     assert surface_distance(blurred[-1].mesh, two(8.0, 1.2)).mean < 0.6
 
 
-@pytest.mark.parametrize(("interior", "left_out"), [(0.0, True), (0.3, False)])
+@pytest.mark.parametrize(
+    ("interior", "left_out"), [(0.0, True), pytest.param(0.3, False, marks=pytest.mark.slow)]
+)
 def test_insides_that_hardly_show_are_left_out_at_blurred_levels(interior, left_out):
     image = image_of(Light(1.0, interior))
     settings = SETTINGS.model_copy(update={"levels": (2.0, 1.0), "structure": "both"})
@@ -164,7 +167,7 @@ def test_the_prior_is_that_of_its_gradient_and_weak():
 def test_a_fit_goes_on_from_a_checkpoint_with_its_insides(tmp_path):
     image = image_of(DIM)
     states = states_of(DIM)
-    middle = states[len(states) // 2]
+    middle = states[3 * len(states) // 4]
     middle.save(tmp_path / "kept.npz")
     resumed = fit(image, GRID, two(7.0), OPTICS, settings=SETTINGS, resume=tmp_path / "kept.npz")
     *_, again = resumed

@@ -173,6 +173,7 @@ def check_compiled(function, vertices):
     assert_allclose(by_compiled, by_plain, rtol=1e-6, atol=1e-6 * by_plain.abs().max())
 
 
+@pytest.mark.slow
 def test_compiled_functions_agree():
     """Every operator at once: the list, the band, and the points of the particle-mesh."""
     mesh = sphere((1.0, 1.0, 1.0), 0.6, subdivisions=1)

@@ -125,6 +125,7 @@ def test_launch_shapes_cut_the_work_into_parts_that_cover_it(single):
     assert "add_parts" in grids
 
 
+@pytest.mark.slow
 def test_the_build_of_the_gpu_runs_too():
     """Blocks and tiles as they are on a device, on a mesh of a few blocks."""
     mesh = sphere((0.4, -0.2, 0.9), 1.5, subdivisions=2)

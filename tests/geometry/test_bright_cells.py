@@ -123,7 +123,8 @@ def matched(found, labels):
     return np.mean(np.array(shares) > 0.5)
 
 
-@pytest.mark.parametrize("gap", [-0.5, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("gap", [-0.5, 1.0])
 def test_cells_with_dark_gaps_between_them_are_no_walls(gap):
     labels, image = packed(gap)
     found = cells_of(image, (1.0, 1.0, 1.0))
@@ -170,10 +171,8 @@ def test_a_net_of_walls_that_encloses_nothing_is_not_cut_into_cells(monkeypatch)
     assert cells_of(net(), (1.0, 0.2, 0.2)).bright
 
 
-@pytest.mark.parametrize(
-    ("kind", "draw"),
-    [pytest.param("packed-hazy", 2, marks=pytest.mark.slow), ("tissue-insides", 0)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "draw"), [("packed-hazy", 2), ("tissue-insides", 0)])
 def test_nuclei_a_voxel_apart_or_touching_are_all_found(kind, draw):
     """They had come as 28 clumps of 45, and as a single cell."""
     scene = pytest.importorskip("benchmarks.defaults.scenes").made(kind, draw, "")
@@ -222,7 +221,8 @@ def cells_in(kind):
     return scene.all_labels, scene.image
 
 
-@pytest.mark.parametrize("kind", ["nuclei", pytest.param("walls", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["nuclei", "walls"])
 def test_no_cell_is_found_where_the_image_is_missing(kind):
     """Half of those found had been smeared edges of the image."""
     labels, image = cells_in(kind)

@@ -40,7 +40,7 @@ SLOW = pytest.mark.slow
 @pytest.mark.parametrize(
     ("haze", "size"),
     [
-        ("body", None),
+        pytest.param("body", None, marks=SLOW),
         ("body", 9.0),
         pytest.param("centre", None, marks=SLOW),
         pytest.param("none", None, marks=SLOW),
@@ -59,9 +59,8 @@ def test_nuclei_of_an_embryo_that_shines_all_over_are_found(haze, size):
     assert found.size == pytest.approx(2 * RADIUS, rel=0.15)
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param("even", marks=SLOW), pytest.param("textured", marks=SLOW), "few grains"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["even", "textured", "few grains"])
 def test_what_a_body_holds_may_be_no_cells(kind):
     light = (AWAY < 0.9).astype(float)
     if kind == "textured":
@@ -74,6 +73,7 @@ def test_what_a_body_holds_may_be_no_cells(kind):
     assert found.labels.max() == 1
 
 
+@pytest.mark.slow
 def test_noise_holds_no_cells():
     with pytest.raises(InputError, match="no cells"):
         cells_of(image_of(np.ones(SHAPE)), (1.0, 1.0, 1.0))

@@ -180,7 +180,9 @@ def test_no_size_is_suggested(name):
         suggest_size(image, voxel)
 
 
-@pytest.mark.parametrize("size", [2.5, 4.0, 6.0])
+@pytest.mark.parametrize(
+    "size", [*(pytest.param(s, marks=pytest.mark.slow) for s in (2.5, 4.0)), 6.0]
+)
 def test_no_draw_of_noise_has_cells(size):
     for seed in range(8):
         with pytest.raises(InputError, match="were found"):
@@ -216,6 +218,7 @@ def test_a_slanted_border_has_the_area_of_a_plane():
     assert (area * known)[inner].sum() == pytest.approx(planes, rel=0.03)
 
 
+@pytest.mark.slow
 def test_cells_that_a_slanted_border_cuts_are_found():
     tissues = pytest.importorskip("benchmarks.defaults.tissues")
     scene = tissues.deskewed(tissues.tissue(16, ""))

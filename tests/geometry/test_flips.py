@@ -1,6 +1,7 @@
 """Small walls go, short junctions become walls, small pieces vanish; nothing else changes."""
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
@@ -91,6 +92,7 @@ def test_a_place_that_is_gone_cannot_flip():
     assert done.hopeless == (wall,)
 
 
+@cache
 def enclosed():
     """Four cells around a gap, which is a fifth one taken away."""
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)

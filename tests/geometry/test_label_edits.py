@@ -169,6 +169,7 @@ def test_a_damaged_file_is_told_with_its_line(tmp_path, text, message):
         read_clicks_csv(tmp_path / "none.csv")
 
 
+@pytest.mark.slow
 def test_a_crumb_of_a_sound_cell_is_not_cut_off():
     """A fit could make no cell of it; the labels stay as they are."""
     sample = foam_sample()

@@ -128,7 +128,7 @@ def test_labels_of_hardly_an_edge_stay_where_they_are():
         assert min(mesh.volumes().values()) > 0
 
 
-@pytest.mark.parametrize("seed", [2, 3, 9])
+@pytest.mark.parametrize("seed", [2, *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 9))])
 @pytest.mark.filterwarnings("ignore::napari_deltamic.errors.RepairWarning")  # crumbs of some cells
 def test_crowds_of_small_cells_keep_their_volumes_and_do_not_cross(seed):
     """Four nodes across a cell were too few: cells grew to 30 times their volume."""
@@ -146,7 +146,7 @@ def test_crowds_of_small_cells_keep_their_volumes_and_do_not_cross(seed):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("touching", [False, True])
+@pytest.mark.parametrize("touching", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_no_small_cell_is_lost(touching):
     """Balls 5 voxels across, beside larger ones or alone: 20 of each."""
     middle = 10 + np.random.default_rng(0).uniform(-0.5, 0.5, (20, 3))

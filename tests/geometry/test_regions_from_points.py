@@ -161,6 +161,7 @@ def test_images_that_cannot_be_used(image: Float, size: object, message: str) ->
         labels_from_points(image, size, [(0, 0, 0)])  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_slab_on_the_border_is_refused() -> None:
     # A dark slab that ends on five sides of the image is no object.
     wall = np.abs(coordinates()[..., 0] - 1.5)

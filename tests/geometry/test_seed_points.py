@@ -154,6 +154,7 @@ def test_all_radii_need_no_membranes() -> None:
     assert mesh.region_ids().tolist() == [1, 2]
 
 
+@pytest.mark.slow
 def test_seed_errors_name_the_point_as_given() -> None:
     image = noisy(membrane(ball(CENTER, 2.5)))
     points = [(5, 4.7, 8.5), CENTER, (1.0, 1.0, 1.0)]
@@ -192,6 +193,7 @@ def test_all_bad_points_are_named_at_once_and_the_rest_go_on() -> None:
     assert [told.count(reason) for reason in reasons] == [1] * 5
 
 
+@pytest.mark.slow
 def test_points_of_which_none_can_be_used_are_all_named() -> None:
     image = noisy(membrane(ball(CENTER, 2.5)))
     with pytest.raises(InputError, match=r"^point 1 .* outside the image; point 2 lies in no clos"):
@@ -330,7 +332,7 @@ def test_a_tree_tells_of_each_dark_part_how_large_it_is_and_where_it_is_cut():
         assert tree.lowest[node] == ranked[part].min()
 
 
-@pytest.mark.parametrize("radius", [1.7, 0.6])
+@pytest.mark.parametrize("radius", [1.7, pytest.param(0.6, marks=pytest.mark.slow)])
 def test_blocks_find_the_same_regions(monkeypatch: pytest.MonkeyPatch, radius: float) -> None:
     """Of the smaller ball, blocks are so few that all voxels are flooded after them."""
     made: list[tuple[int, ...]] = []

@@ -142,6 +142,7 @@ def test_an_open_surface_that_crosses_is_refused():
         untangled(Mesh.merge([cap, sphere((0, 0, 1.2), 1.0, subdivisions=3)]))
 
 
+@pytest.mark.slow
 def test_a_reach_of_many_edges_takes_little_memory():
     """As under a PSF much wider than an edge, where each vertex has a thousand faces in reach."""
     one, other = sphere((0, 0, 0), 1.0, 0.06), sphere((0, 0, 2.2), 1.0, 0.06)

@@ -42,7 +42,9 @@ from napari_deltamic.common.cache_folder import CACHE_VARIABLE
 from napari_deltamic.fitting import fit
 from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.geometry import sphere
+from napari_deltamic.results import report
 from napari_deltamic.results.judged import compared
+from napari_deltamic.results.picture import picture_png
 from napari_deltamic.tracking import track
 
 SIZE = (0.3, 0.2, 0.2)
@@ -70,11 +72,20 @@ def frozen():
     gc.freeze()
 
 
+@pytest.fixture(scope="session")
+def a_picture():
+    """Of no fit in particular."""
+    grid = nd.Grid((4, 4, 4), SIZE)
+    nothing = np.zeros(grid.shape)
+    return picture_png(nothing, nothing, sphere((0.5, 0.3, 0.3), 0.2, edge_length=0.2), grid)
+
+
 @pytest.fixture(autouse=True)
-def quick(monkeypatch, request):
+def quick(monkeypatch, request, a_picture):
     """What takes long after each fit, and few tests ask for, is left out."""
     if "judged" not in request.fixturenames:
         monkeypatch.setattr(run_control, "judge", _only_rendered)
+        monkeypatch.setattr(report, "picture_png", lambda *given: a_picture)
     if "thawed" not in request.fixturenames:
         # To count all that is frozen here takes long.
         monkeypatch.setattr(calm, "gc", SimpleNamespace(get_freeze_count=lambda: 1))

@@ -82,6 +82,7 @@ def test_undo_and_redo(ended):
     assert not bar.redo_button.isEnabled()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("judged")
 def test_undo_brings_back_the_fit_with_its_verdict(seeded, spin):
     seeded.start()

@@ -90,7 +90,10 @@ def press(window, text):
     QTest.keyRelease(canvas, Qt.Key.Key_Shift)  # else Qt takes Shift for held in later tests
 
 
-@pytest.mark.parametrize("kind", ["image", "labels", "points", "shapes"])
+@pytest.mark.parametrize(
+    "kind",
+    ["image", "labels", *(pytest.param(k, marks=pytest.mark.slow) for k in ("points", "shapes"))],
+)
 def test_every_key_arrives_whatever_layer_is_selected(window, docked, monkeypatch, kind, pixels):
     if kind != "image":
         given = [np.zeros(pixels.shape, int)] if kind == "labels" else []

@@ -388,7 +388,7 @@ def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
 
 
 @pytest.mark.usefixtures("judged")
-@pytest.mark.parametrize("made", [widefield_of, confocal_of])
+@pytest.mark.parametrize("made", [pytest.param(widefield_of, marks=pytest.mark.slow), confocal_of])
 def test_a_fit_that_begins_anew_with_another_psf(seeded, spin, monkeypatch, tmp_path, made):
     """Settings, forecast and session follow the kind of PSF."""
 

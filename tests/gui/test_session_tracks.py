@@ -82,6 +82,7 @@ def test_what_was_stopped_goes_on_after_reopening(widget, spin, slow, reopened_h
     assert other.tracking.verdict.text().startswith("4 frames tracked")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("judged")
 def test_a_fit_of_one_time_comes_back_at_its_time(widget, viewer, spin, reopened_here):
     viewer.dims.set_current_step(0, 2)
@@ -128,6 +129,7 @@ def test_the_rendered_image_is_there_at_its_time_only(widget, viewer, spin):
     assert rendered.visible
 
 
+@pytest.mark.slow
 def test_frames_of_a_region_come_back_where_they_were(widget, viewer, series, spin, reopened_here):
     """With the voxels of the region, and none of those around it."""
     widget.doc.image.take_region(((0, 20), (2, 23), (1, 24)))
@@ -145,6 +147,7 @@ def test_frames_of_a_region_come_back_where_they_were(widget, viewer, series, sp
     assert other.tracking.work.job.image.shape == (20, 21, 23)
 
 
+@pytest.mark.slow
 def test_tracks_of_another_region_are_not_saved(widget, spin):
     widget.tracking.start()
     spin(ended(widget), 60)

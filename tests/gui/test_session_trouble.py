@@ -98,7 +98,7 @@ def test_the_reader_opens_the_layers(seeded, with_image, spin, tmp_path):
     assert tuple(viewer.layers["cell: surfaces"].translate) == (1, 2, 3)
 
 
-@pytest.mark.parametrize("docked", [False, True])
+@pytest.mark.parametrize("docked", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_session_that_is_dropped_opens_whole(window, seeded, spin, tmp_path, docked):
     path = tmp_path / "a.deltamic"
     save(fitted(seeded, spin), path, spin)

@@ -64,6 +64,7 @@ def test_one_click_gives_a_surface_over_time(widget, viewer, series, spin):
     assert widget.tracking.table.rowCount() == 1
 
 
+@pytest.mark.slow
 def test_contours_and_table_follow_the_slider(widget, viewer, spin):
     widget.tracking.start()
     spin(ended(widget), 60)
@@ -77,6 +78,7 @@ def test_contours_and_table_follow_the_slider(widget, viewer, spin):
     np.testing.assert_allclose((middle[3] - middle[0])[1:], 3 * STEP[1:], atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_row_goes_to_its_cell_in_its_frame(widget, viewer, spin):
     widget.tracking.start()
     spin(ended(widget), 60)
@@ -128,6 +130,7 @@ def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
     assert [r.frame for r in read_results(tmp_path)] == [0, 1, 2, 3]
 
 
+@pytest.mark.slow
 def test_a_bad_frame_is_told_and_skipped(widget, viewer, spin, told):
     layer = viewer.layers["movie"]
     layer.data = np.where(np.arange(4).reshape(4, 1, 1, 1) == 1, np.nan, layer.data)
@@ -245,6 +248,7 @@ def test_a_surface_of_several_times_is_no_mesh_file(tmp_path):
     assert write_surface(str(tmp_path / "a.ply"), (vertices, faces), {})
 
 
+@pytest.mark.slow
 def test_the_start_is_not_shown_again_over_what_was_tracked(widget, viewer, spin, soon):
     widget.seeds.shape.setCurrentText("the membrane")
     spin(lambda: any("start" in layer.name for layer in viewer.layers))

@@ -117,7 +117,10 @@ def test_settings_tell_it():
     assert torch.equal(kept.otf(AXES), found.otf(AXES))
 
 
-@pytest.mark.parametrize("sigma", [(0.3, 0.11, 0.11), (6.0, 0.2, 0.2), (0.05, 0.05, 0.05)])
+@pytest.mark.parametrize(
+    "sigma",
+    [(0.3, 0.11, 0.11), (6.0, 0.2, 0.2), pytest.param((0.05, 0.05, 0.05), marks=pytest.mark.slow)],
+)
 def test_whatever_a_fit_may_find_has_settings(sigma):
     """As far as it may go, and from there as far again."""
     for made in (confocal_of, widefield_of):

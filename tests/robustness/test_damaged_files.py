@@ -28,6 +28,7 @@ def test_spoilt_files_are_read_or_refused():
     assert found["refused"] > 25
 
 
+@pytest.mark.slow
 def test_spoilt_files_through_the_command_line():
     found, troubles = files.attempt("command", 6)
     assert not troubles

@@ -6,6 +6,7 @@ pytest.importorskip("napari")
 window = pytest.importorskip("benchmarks.robustness.window")
 
 
+@pytest.mark.slow
 def test_many_actions_raise_nothing_and_lose_nothing():
     did, troubles = window.play(0, 40, cycles=2)
     assert troubles == []

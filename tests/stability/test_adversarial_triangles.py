@@ -189,6 +189,7 @@ def test_instruction_set_by_environment():
 # ----------------------------------------------------------------------- the reference itself
 
 
+@pytest.mark.slow
 def test_reference_agrees_with_numerical_integration():
     mpmath = pytest.importorskip("mpmath")
     a, b, c = 0.3, -7.1, 2.4

@@ -12,7 +12,11 @@ from napari_deltamic.scene import Renderer, Scene
 
 VOXEL = (0.31, 0.2, 0.24)  # anisotropic
 SHAPES = [(5, 6, 7), (6, 5, 4), (4, 4, 4), (5, 5, 5), (1, 6, 5)]  # odd and even along each axis
-METHODS = [("closed form", 0.0), ("closed form", 1e-8), ("particle-mesh", 1e-10)]
+METHODS = [
+    ("closed form", 0.0),
+    pytest.param("closed form", 1e-8, marks=pytest.mark.slow),
+    ("particle-mesh", 1e-10),
+]
 TILTED = [[0.09, 0.02, 0.01], [0.02, 0.07, -0.01], [0.01, -0.01, 0.08]]
 SIGMA = (0.33, 0.24, 0.27)
 

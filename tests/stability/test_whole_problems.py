@@ -17,11 +17,15 @@ LIKELIHOODS = ("poisson", "gaussian", "paper")
 REFUSED = ("trimesh__empty.obj", "trimesh__points_emptyface.ply")  # no faces
 
 
-@pytest.mark.parametrize("likelihood", LIKELIHOODS)
-@pytest.mark.parametrize(
-    ("method", "accuracy", "bar"),
-    [("closed form", 0, 1e-7), ("closed form", 1e-6, 1e-7), ("particle-mesh", 1e-9, 1e-6)],
-)
+WAYS = [("closed form", 0, 1e-7), ("closed form", 1e-6, 1e-7), ("particle-mesh", 1e-9, 1e-6)]
+GRADIENTS = [
+    pytest.param(*way, name, marks=pytest.mark.slow if way[0] != "particle-mesh" and k else ())
+    for k, name in enumerate(LIKELIHOODS)
+    for way in WAYS
+]
+
+
+@pytest.mark.parametrize(("method", "accuracy", "bar", "likelihood"), GRADIENTS)
 def test_gradient_of_render_and_loss(method, accuracy, bar, likelihood):
     found = gradient_errors(method, accuracy, likelihood)
     assert set(found) == {"vertices", "PSF", "density"}
@@ -105,7 +109,8 @@ def test_one_and_two_threads_end_alike(name):
     assert apart < (1e-6 if "double" in name else 1e-5)
 
 
-@pytest.mark.parametrize("unit", [pytest.param(1e3, marks=pytest.mark.slow), 1e-6])
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1e3, 1e-6])
 def test_a_fit_does_not_know_its_units(unit):
     """By points in double precision; measured 2e-6 at most."""
     assert apart_by_units(unit, 1e-8) < 1e-5

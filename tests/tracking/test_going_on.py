@@ -2,6 +2,7 @@
 
 import importlib
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,9 +21,15 @@ from napari_deltamic.tracking.frames import Frame
 module = importlib.import_module("napari_deltamic.tracking.track")
 
 
+@cache
+def first_of_two():
+    """The result of the first of two frames, for tests that go on from it."""
+    return tracked(drifting(2))[:1]
+
+
 def test_divisions_are_looked_for_right_after_going_on(monkeypatch):
     images = drifting(2)
-    done = tracked(images)[:1]
+    done = first_of_two()
     calls = []
     monkeypatch.setattr(module, "proposals", lambda *arguments: calls.append(1) or [])
     tracked(images, done=done)
@@ -135,7 +142,7 @@ def test_padding_of_a_frame_is_not_known():
 )
 def test_going_on_knows_the_psf_that_a_fit_found(made):
     """A frame whose fit went on with the PSF of an objective is followed by it."""
-    done = tracked(drifting(2))[:1]
+    done = first_of_two()
     found = made((0.3, 0.11, 0.11))
     past = BetweenFrames(GRID, ball(), OPTICS, first=0)
     numbers = tuple(found.parameters().tolist())

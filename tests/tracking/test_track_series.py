@@ -9,6 +9,7 @@ import pytest
 from movies import (
     GRID,
     MIDDLE,
+    NEAR,
     OPTICS,
     RADIUS,
     VOXEL,
@@ -43,7 +44,7 @@ def test_a_cell_that_drifts_is_followed():
 
 
 def test_every_iteration_is_yielded():
-    states = list(track(drifting(2), GRID, ball(), OPTICS))
+    states = list(track(drifting(2), GRID, ball(), OPTICS, NEAR))
     done = [s for s in states if s.done is not None]
     assert [s.frame for s in done] == [0, 1]
     assert len(states) == 2 + sum(s.done.iterations for s in done)
@@ -52,7 +53,7 @@ def test_every_iteration_is_yielded():
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "fits"), [(1, 2), pytest.param(2, 3, marks=pytest.mark.slow), (3, 3)]
+    ("spoilt", "fits"), [(1, 2), *(pytest.param(k, 3, marks=pytest.mark.slow) for k in (2, 3))]
 )
 def test_a_frame_that_is_explained_less_is_fitted_again(monkeypatch, spoilt, fits):
     levels = []
@@ -79,7 +80,7 @@ def test_frames_are_read_one_at_a_time():
             read.append(t)
             yield image
 
-    states = track(frames(), GRID, ball(), OPTICS)
+    states = track(frames(), GRID, ball(), OPTICS, NEAR)
     assert read == []
     for state in states:
         assert read[-1] == state.frame
@@ -106,6 +107,7 @@ def test_a_cell_divides_and_its_daughters_have_new_numbers():
     assert "divided into 2 and 3" in lives[1].end
 
 
+@pytest.mark.slow
 def test_no_division_where_it_is_not_wanted():
     images = [photographed(ball(), 0), photographed(pair(4.0), 1)]
     results = tracked(images, tracking=TrackSettings(divisions=False))
@@ -113,7 +115,7 @@ def test_no_division_where_it_is_not_wanted():
     assert not any(r.events for r in results)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [*(pytest.param(k, marks=pytest.mark.slow) for k in (0, 1)), 2])
 def test_noise_divides_no_cell(seed):
     images = [photographed(ball(), seed + 10 * t, peak=15.0) for t in range(3)]
     assert [r.cells for r in tracked(images)] == [(1,)] * 3
@@ -127,7 +129,10 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize(
+    "name",
+    ["missing", *(pytest.param(n, marks=pytest.mark.slow) for n in ("black", "dark", "saturated"))],
+)
 def test_one_bad_frame_does_not_stop_the_series(name):
     spoil, why = BAD[name]
     images = drifting(4)
@@ -139,6 +144,7 @@ def test_one_bad_frame_does_not_stop_the_series(name):
     np.testing.assert_allclose(center(results[3].mesh), MIDDLE + VOXEL * 3 * STEP, atol=0.03)
 
 
+@pytest.mark.slow
 def test_a_frame_that_is_out_of_focus_is_left_out():
     from scipy.ndimage import gaussian_filter
 
