@@ -127,6 +127,7 @@ def test_other_naparis_are_not(version):
     check_napari(version)
 
 
+@pytest.mark.slow
 def test_types_reach_who_uses_the_package(tmp_path):
     """py.typed is there, and the names that are loaded late have their types."""
     pytest.importorskip("mypy")

@@ -50,6 +50,7 @@ def test_a_halo_is_found_with_its_strength_bias_and_price(hazy):
     assert "nm" in halo.reason
 
 
+@pytest.mark.slow
 def test_the_predicted_bias_is_that_of_a_fit(hazy):
     image, state = hazy
     found = ask(image, state, ["halo"])
@@ -87,6 +88,7 @@ def test_light_from_inside_is_no_effect_and_stays_free():
         assert found.scene.light.interior == pytest.approx(0.15, rel=0.4)
 
 
+@pytest.mark.slow
 def test_it_is_the_same_every_time(hazy, one_thread):
     one, other = (
         [replace(e, cost_ms=0.0) for e in ask(*hazy, ["halo", "bleaching"]).evidence]

@@ -192,6 +192,8 @@ def test_facts_of_a_fit(monkeypatch):
     assert facts.slices.brightness < 0.02
     assert not facts.sharpened
     assert facts.dome == 0
+    # The errors of other states, which take longest, are looked at further below.
+    monkeypatch.setattr(fit_facts, "predicted_error", lambda *given: facts.error)
     high = float(np.ptp(state.rendered()))
     for place, number, dome in ((0, high, 0.0), (3, -high / 3, 0.5)):  # Legendre's in z
         ground = Background(order=2, coefficients=tuple(number * (k == place) for k in range(9)))
@@ -206,9 +208,9 @@ def test_facts_of_a_fit(monkeypatch):
     assert list(facts.widths.values()) == pytest.approx([1, 1], abs=0.2)
     for told, axes in ((0.13, {"across", "along Z"}), (0.11, {"across"})):  # um; 0.6 voxel: 0.12
         sharp = FirstSigma(Finding(told), Finding(0.24))
-        monkeypatch.setattr(fit_facts, "first_sigma", lambda *given, sharp=sharp: sharp)
-        assert set(facts_of(job, state, analyse_residual(image, grid, state)).widths) == axes
-    monkeypatch.undo()
+        with monkeypatch.context() as patch:
+            patch.setattr(fit_facts, "first_sigma", lambda *given, sharp=sharp: sharp)
+            assert set(facts_of(job, state, analyse_residual(image, grid, state)).widths) == axes
     (cell,) = facts.cells
     assert cell.growth == pytest.approx((1.5 / 1.2) ** 3, rel=0.1)
     assert not cell.cut
@@ -245,6 +247,7 @@ def test_facts_of_a_fit(monkeypatch):
     assert found["across"] < 0.5
     hazy = image + 80 * (voxel_labels(truth, shape, size) == 0)
     hazy_job = replace(job, image=hazy.astype(np.float32))
+    monkeypatch.undo()
     hazy_facts = facts_of(hazy_job, state, analyse_residual(image, grid, state))
     assert hazy_facts.cells[0].inside < -0.2
     assert hazy_facts.error.lacks
@@ -263,6 +266,7 @@ def test_facts_of_a_fit(monkeypatch):
     assert facts_of(job, moved, analyse_residual(image, grid, state)).cells[0].cut
 
 
+@pytest.mark.slow
 def test_what_lies_beyond_the_image_is_not_in_the_predicted_error():
     """A guess there is said to be one; its error would hide how well the rest is known."""
     size, middle = (0.2, 0.2, 0.2), (2.3, 2.3, 2.3)

@@ -50,6 +50,7 @@ def test_goes_on_from_moved_vertices(image):
     assert apart(last.mesh) < 0.05
 
 
+@pytest.mark.slow
 def test_goes_on_with_other_triangles(image):
     settings = QUICK.model_copy(update={"density": "smooth"})
     states, state = begun(image, 20, settings)
@@ -133,6 +134,7 @@ def test_a_fit_that_has_ended_goes_on(image):
     assert finished(states, state).iteration == 20
 
 
+@pytest.mark.slow
 def test_a_change_is_part_of_the_checkpoint(image, tmp_path):
     states, state = begun(image, 30)
     moved = state.mesh.vertices_numpy() * 1.01

@@ -41,6 +41,7 @@ def test_cytoplasm_around_a_dark_nucleus_is_doubted(monkeypatch):
     assert len(asked) == 1  # in the end: a few steps of another fit take time
 
 
+@pytest.mark.slow
 def test_a_membrane_with_a_dim_inside_is_not():
     cell = sphere(CENTER, RADIUS, subdivisions=3)
     state = ended(nd.Surface(cell, 0.5), nd.Solid(cell))

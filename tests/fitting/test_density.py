@@ -24,6 +24,7 @@ def one_sided(mesh):
     return 1 + 0.5 * (middle[:, 2] - CENTER[2]) / RADIUS
 
 
+@pytest.mark.slow
 def test_smooth_density_of_a_sphere_brighter_on_one_side():
     image = measured(density=one_sided(TRUTH))
     last = fitted(image, settings=FitSettings(density="smooth"))
@@ -172,7 +173,7 @@ def test_walls_that_differ_are_not_uneven():
 @pytest.mark.parametrize(
     ("cells", "levels", "interior", "first"),
     [
-        (2, 1, 8.0, True),
+        pytest.param(2, 1, 8.0, True, marks=pytest.mark.slow),
         (2, 1, 0.0, False),
         pytest.param(1, 1, 8.0, False, marks=pytest.mark.slow),
         pytest.param(2, 2, 8.0, False, marks=pytest.mark.slow),

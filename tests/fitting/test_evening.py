@@ -122,7 +122,8 @@ def test_a_nucleus_with_fine_chromatin_keeps_no_membrane(seed):
     assert surface_distance(last.mesh, BALL).mean < 0.35
 
 
-@pytest.mark.parametrize("sd", [pytest.param(0.0, marks=pytest.mark.slow), 0.35])
+@pytest.mark.slow
+@pytest.mark.parametrize("sd", [0.0, 0.35])
 def test_a_grainy_nucleus_is_found(sd):
     """0.32 voxel off where its image is taken as it is."""
     image = np.random.default_rng(4).poisson(4 + 80 * INSIDE * field(sd, seed=5)).astype(float)

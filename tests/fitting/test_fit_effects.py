@@ -119,6 +119,7 @@ def test_finds_psf_and_effects_together():
     np.testing.assert_allclose(last.optics.sigma_um, OPTICS.sigma_um, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_numbers_that_are_held_stay():
     held = Attenuation(per_um=0.05, fit=False)
     last = fitted(scene(Attenuation(per_um=0.1)), near(), settings=NEAR, effects=Effects.of(held))

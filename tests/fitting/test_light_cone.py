@@ -94,6 +94,7 @@ def test_a_fit_that_was_remeshed_goes_on():
     assert states[-1].converged
 
 
+@pytest.mark.slow
 def test_a_gaussian_stays():
     states = states_of(GAUSSIAN)
     assert {type(state.optics) for state in states} == {nd.GaussianPSF}

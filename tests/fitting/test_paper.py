@@ -17,6 +17,7 @@ def test_it_finds_the_sphere():
     assert apart(last.mesh) < 0.1
 
 
+@pytest.mark.slow
 def test_it_finds_the_psf():
     settings = PAPER.model_copy(update={"fit_psf": True})
     last = fitted(measured(), start(2), optics=GaussianPSF(0.17), settings=settings)

@@ -63,7 +63,8 @@ def test_a_fit_goes_where_that_of_the_cpu_goes(accuracy, start, monkeypatch):
     assert surface_distance(*meshes).mean < 0.01 * GRID.voxel_size[0]
 
 
-@pytest.mark.parametrize("effect", ["bleaching", pytest.param("depth_psf", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["bleaching", "depth_psf"])
 def test_effects_and_the_psf_are_found_there(effect, monkeypatch):
     image = 2 + nd.render(TRUTH, GRID, OPTICS).numpy()
     settings = FitSettings(accuracy=1e-2, levels=(1.0,), max_iterations=6, device="cuda")

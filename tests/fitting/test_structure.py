@@ -252,13 +252,9 @@ def test_membranes_come_back_where_both_are_asked_for(inside, larger):
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("light", "name"),
-    [
-        (Light(1.0, 2.0), "both"),
-        pytest.param(MEMBRANES, "membrane", marks=pytest.mark.slow),
-        pytest.param(INSIDES, "interior", marks=pytest.mark.slow),
-    ],
+    ("light", "name"), [(Light(1.0, 2.0), "both"), (MEMBRANES, "membrane"), (INSIDES, "interior")]
 )
 def test_insides_come_back_where_cells_began_too_small_to_show_them(light, name):
     """A start inside the cell, in which membranes and insides look alike."""
@@ -326,9 +322,10 @@ def test_membranes_are_denied_where_insides_alone_explain_more_once_they_are_eve
     assert not rival_structures.stand(both, both, [-gain, gain])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("light", "name"),
-    [pytest.param(INSIDES, "interior", marks=pytest.mark.slow), (MEMBRANES, "membrane")],
+    [(INSIDES, "interior"), (MEMBRANES, "membrane")],
 )
 def test_small_cells_that_began_too_small_are_what_they_are(light, name):
     """A membrane at 0.77 of the radius spreads its light as an inside does."""

@@ -66,6 +66,7 @@ def two_in_one(one, other):
     return Mesh(places, np.concatenate([one.faces, other.faces + len(one.vertices)]))
 
 
+@pytest.mark.slow
 def test_neighbours_are_exchanged():
     truth, start = four(0.75, 0.12), four(0.5, 0.2)
     assert contacts(truth) != contacts(start)
@@ -137,9 +138,8 @@ def changed_once(monkeypatch, start, look):
     return balls
 
 
-@pytest.mark.parametrize(
-    "look", ["pressing", pytest.param("worth_a_trial", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("look", ["pressing", "worth_a_trial"])
 def test_a_change_that_the_image_speaks_against_is_undone(look, monkeypatch):
     start = four(0.6, 0.2, radius=0.7)
     image, grid = photographed(four(0.6, 0.12), start, **TAKEN)
@@ -180,6 +180,7 @@ def test_what_changes_from_outside_is_not_undone_with_the_topology(kind, monkeyp
     assert open_changes[1:] == [None]
 
 
+@pytest.mark.slow
 def test_pinned_places_do_not_change():
     truth = foam(np.array([[0, 0, -0.5], [0, 0, 0.5]]), np.array([0.65, 0.65]), 0.1)
     start = Mesh.merge([sphere((0, 0, -0.55), 0.5, 0.2), sphere((0, 0, 0.55), 0.5, 0.2)])

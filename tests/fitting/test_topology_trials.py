@@ -104,7 +104,8 @@ def test_right_neighbours_stay(half, photons):
     assert told == "" or told.startswith("undecided")
 
 
-@pytest.mark.parametrize("wrong", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [True, False])
 def test_where_the_image_says_neither_the_present_neighbours_stay(wrong):
     """A wall as wide as the PSF: the two best shapes differ by less than an error."""
     truth = five(0.68)

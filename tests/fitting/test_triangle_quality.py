@@ -73,6 +73,7 @@ def test_the_density_goes_along(image, density):
     assert apart(last.mesh) < 0.08
 
 
+@pytest.mark.slow
 def test_pinned_vertices_stay_and_are_told(image):
     states = fit(image, GRID, squeezed(), OPTICS, settings=SETTINGS)
     first = next(states)

@@ -53,7 +53,13 @@ def states_of(light):
     return list(fit(image_of(light), GRID, two(7.0), OPTICS, settings=SETTINGS))
 
 
-@pytest.mark.parametrize(("light", "ratio"), [(DIM, 0.3), (BOTH, 0.25)], ids=["nuclei", "both"])
+@pytest.mark.parametrize(
+    ("light", "ratio"),
+    [
+        pytest.param(DIM, 0.3, id="nuclei", marks=pytest.mark.slow),
+        pytest.param(BOTH, 0.25, id="both"),
+    ],
+)
 def test_a_dim_cell_is_as_large_as_a_bright_one(light, ratio):
     last = states_of(light)[-1]
     assert surface_distance(last.mesh, two(8.0, 1.2)).mean < 0.12
@@ -164,10 +170,11 @@ def test_the_prior_is_that_of_its_gradient_and_weak():
     assert value < 10  # nats, of insides that differ two-fold
 
 
+@pytest.mark.slow
 def test_a_fit_goes_on_from_a_checkpoint_with_its_insides(tmp_path):
     image = image_of(DIM)
     states = states_of(DIM)
-    middle = states[3 * len(states) // 4]
+    middle = states[len(states) // 2]
     middle.save(tmp_path / "kept.npz")
     resumed = fit(image, GRID, two(7.0), OPTICS, settings=SETTINGS, resume=tmp_path / "kept.npz")
     *_, again = resumed

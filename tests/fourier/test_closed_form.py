@@ -149,6 +149,7 @@ def test_gradcheck_band(loss):
     assert torch.autograd.gradcheck(function, (v, rho))
 
 
+@pytest.mark.slow
 def test_operators_are_registered_correctly():
     v, f, rho = (t.requires_grad_(t.is_floating_point()) for t in soup())
     ops = torch.ops.deltamic

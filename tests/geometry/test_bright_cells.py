@@ -236,6 +236,7 @@ def test_no_cell_is_found_where_the_image_is_missing(kind):
     assert found.bright == (kind == "nuclei")
 
 
+@pytest.mark.slow
 def test_a_dead_slice_is_bridged():
     image = image_of("nuclei")
     image[11] = np.nan

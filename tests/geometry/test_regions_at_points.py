@@ -56,6 +56,7 @@ def test_dark_regions_alone_are_none_of_them(nuclei):
         labels_from_points(nuclei[0], SIZE, [(16, 16, 36)], dark=True)
 
 
+@pytest.mark.slow
 def test_points_in_a_crowd_of_nuclei_name_them_not_the_gaps_between():
     centres = [(14, y, x) for y in (10, 27, 44) for x in (10, 27, 44)]
     crowd = balls(*centres, shape=(28, 54, 54), radius=7.5)

@@ -115,7 +115,7 @@ def test_bright_debris_inside_and_outside() -> None:
     ("points", "message"),
     [
         ([(-0.5, 1.0, 1.0)], "point 1 .* outside the image"),
-        ([(5.0, 4.7, 7.3)], "point 1 lies in no closed region"),
+        pytest.param([(5.0, 4.7, 7.3)], "point 1 lies in no closed region", marks=pytest.mark.slow),
         ([(5.0, 4.7)], "points must be"),
         (np.zeros((0, 3)), "points must be"),
         ([(np.nan, 0.0, 0.0)], "point 1 .* a coordinate is not finite"),

@@ -137,6 +137,7 @@ def test_label_seeds_look_at_the_image_that_may_have_holes():
     assert min(mesh.volumes().values()) > 3500
 
 
+@pytest.mark.slow
 def test_of_a_tissue_one_mark_becomes_one_cell():
     """Flooded from one point, what closes around it may be several cells."""
     rng = np.random.default_rng(3)

@@ -57,6 +57,7 @@ def in_words(found, about=""):
 # ---------------------------------------------------------------------------------- the dial
 
 
+@pytest.mark.slow
 def test_a_name_stands_for_a_number_on_this_image(seeded, pixels, spin):
     dial = seeded.settings.accuracy
     for name in PRESETS:
@@ -303,6 +304,7 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin, monke
     assert seeded.settings.outlook.text() == predicted(whole.after(known))
 
 
+@pytest.mark.slow
 def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkeypatch):
     monkeypatch.setattr(worker, "FORECAST_EVERY", 0.01)
     elapsed = []

@@ -184,6 +184,7 @@ def test_a_chart_of_another_psf_says_so(measuring, spin):
     assert view.progress.text() == ""
 
 
+@pytest.mark.slow
 def test_closing_while_it_measures_releases_everything(measuring, with_image, spin):
     _, gate, asked = measuring
 

@@ -27,6 +27,7 @@ def docked(window, pixels):
     return widget, dock
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("judged")
 def test_the_dock_may_be_narrow_whatever_it_shows(window, docked, spin):
     widget, dock = docked

@@ -127,6 +127,7 @@ def test_the_image_and_its_seeds_are_asked_in_the_background(seeded, spin, asked
     assert "check again" in view.progress.text()
 
 
+@pytest.mark.slow
 def test_a_fit_that_converged_is_not_done_again(seeded, spin, asked):
     gate, calls = asked
     gate.release()

@@ -177,6 +177,7 @@ def test_iterations_that_all_take_long_are_no_longer_step(begun, spin):
     assert shown._long == 50.0
 
 
+@pytest.mark.slow
 def test_remaining_time_is_told_where_it_is_known(begun, spin, monkeypatch):
     spin(lambda: " left; " in begun.footer.message.text())
     begun.stop()

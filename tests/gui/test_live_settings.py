@@ -33,6 +33,7 @@ def test_the_psf_is_taken_over(begun, spin):
     spin(lambda: any(now.startswith("0.5 ") for _, _, now in begun.running.numbers.texts()))
 
 
+@pytest.mark.slow
 def test_a_psf_that_is_refused_holds_up_nothing_else_and_is_tried_again(begun, spin, monkeypatch):
     said = []
     begun.doc.noted.connect(said.append)

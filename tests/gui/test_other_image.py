@@ -281,7 +281,7 @@ def test_what_is_found_after_the_image_went_is_not_shown(seeded, with_image, spi
 
 
 @pytest.mark.usefixtures("judged")
-@pytest.mark.parametrize("seen", [True, False])
+@pytest.mark.parametrize("seen", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_fit_whose_layers_all_go_can_be_saved_but_is_not_shown(
     begun, with_image, spin, tmp_path, seen
 ):

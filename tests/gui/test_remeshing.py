@@ -112,6 +112,7 @@ def test_pins_are_those_of_the_newest_state_before_the_window_has_shown_it(begun
     np.testing.assert_array_equal(begun.edits.pinned, state.pinned)
 
 
+@pytest.mark.slow
 def test_undo_and_redo_of_pins_across_a_remeshing(begun, gate, spin):
     pin_right(begun)
     spin(lambda: begun.doc.run.state.pinned is not None)
@@ -158,6 +159,7 @@ def test_a_stroke_during_which_the_fit_is_remeshed(begun, gate, spin):
     assert begun.doc.run.running
 
 
+@pytest.mark.slow
 def test_looking_back_across_a_remeshing_and_going_on_from_there(begun, with_image, gate, spin):
     pin_right(begun)
     spin(lambda: begun.doc.run.state.pinned is not None)
@@ -191,6 +193,7 @@ def test_cells_can_be_chosen_while_the_surface_is_hidden(begun, with_image, gate
     begun.doc.link.highlight(frozenset())
 
 
+@pytest.mark.slow
 def test_a_session_keeps_the_pins_of_other_triangles(begun, gate, spin, tmp_path):
     pin_right(begun)
     spin(lambda: begun.doc.run.state.pinned is not None)

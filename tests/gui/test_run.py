@@ -167,7 +167,15 @@ def test_removing_a_layer_that_the_fit_needs_ends_it(seeded, with_image, spin, e
     assert "by you" not in words
 
 
-@pytest.mark.parametrize("name", ["cell: contours", "seeds", "cell: rendered", "cell: residual"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cell: contours",
+        "seeds",
+        pytest.param("cell: rendered", marks=pytest.mark.slow),
+        pytest.param("cell: residual", marks=pytest.mark.slow),
+    ],
+)
 def test_other_layers_can_be_removed_while_it_runs(seeded, with_image, spin, endless, name):
     seeded.doc.look("residual" if "residual" in name else "rendered")
     seeded.start()
@@ -184,7 +192,9 @@ def test_other_layers_can_be_removed_while_it_runs(seeded, with_image, spin, end
     ("error", "words"),
     [
         (FloatingPointError("the fit met a number that is not finite"), "not finite"),
-        (RuntimeError("something of torch"), "something of torch"),
+        pytest.param(
+            RuntimeError("something of torch"), "something of torch", marks=pytest.mark.slow
+        ),
         (MemoryError(), "not enough memory"),
         (InputError("the mesh lies outside"), "the mesh lies outside"),
     ],

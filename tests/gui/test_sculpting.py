@@ -111,6 +111,7 @@ def test_a_paused_fit_shows_a_change_at_once(begun, spin):
     assert begun.doc.run.paused
 
 
+@pytest.mark.slow
 def test_pinned_vertices_stay(begun, with_image, spin):
     pause(begun, spin)
     mouse, place = use(begun, "nudge"), right_end(begun)
@@ -142,6 +143,7 @@ def test_pinned_vertices_stay(begun, with_image, spin):
     spin(moved)
 
 
+@pytest.mark.slow
 def test_pins_outlast_the_fit_and_the_next_one(ended, spin):
     use(ended, "pin", 0.4).drag(right_end(ended))
     pinned = ended.edits.pinned.copy()

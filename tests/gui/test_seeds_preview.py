@@ -96,6 +96,7 @@ def test_large_images_have_no_preview_until_it_is_wanted(panel):
     assert not panel.preview.isChecked(), "the user has chosen"
 
 
+@pytest.mark.slow
 def test_closing_releases_a_panel_whose_preview_is_under_way(window, pixels, spin, held):
     gate, calls = held
     window.add_image(pixels, scale=SIZE, name="cell")
@@ -132,6 +133,7 @@ def test_a_closed_panel_shows_nothing_more(panel, with_image, spin, held):
     assert "cell: start contours" not in with_image.layers
 
 
+@pytest.mark.slow
 def test_closing_the_dock_takes_the_preview_away(window, pixels, spin):
     window.add_image(pixels, scale=SIZE, name="cell")
     widget = fit_widget.FitWidget(window)

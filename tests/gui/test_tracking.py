@@ -98,6 +98,7 @@ def test_a_row_goes_to_its_cell_in_its_frame(widget, viewer, spin):
     assert viewer.dims.current_step[0] == 2
 
 
+@pytest.mark.slow
 def test_tracking_starts_at_the_frame_shown(widget, viewer, spin):
     viewer.dims.set_current_step(0, 2)
     widget.tracking.start()
@@ -108,6 +109,7 @@ def test_tracking_starts_at_the_frame_shown(widget, viewer, spin):
     assert len(viewer.layers["movie: tracked contours"].data) == 0
 
 
+@pytest.mark.slow
 def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
     widget, viewer, spin, slow, tmp_path
 ):
@@ -219,6 +221,7 @@ def test_the_surface_of_a_fit_is_there_at_its_time_only(widget, viewer, spin):
     assert not surface.visible
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("judged")
 def test_a_result_tells_its_time_and_leads_back_to_it(widget, viewer, spin):
     viewer.dims.set_current_step(0, 1)

@@ -107,7 +107,7 @@ def test_an_image_that_is_opened_beside_the_widget_is_shown_whole(app, viewer, p
     widget.close_links()
 
 
-@pytest.mark.parametrize("thick", [1.0, 15.0])
+@pytest.mark.parametrize("thick", [1.0, pytest.param(15.0, marks=pytest.mark.slow)])
 def test_the_slider_keeps_the_steps_of_the_image(app, viewer, pixels, spin, thick):
     size = np.multiply(SIZE, thick)
     layer = viewer.add_image(pixels, scale=size, name="cell")

@@ -89,6 +89,7 @@ def test_against_another_method(mesh):
     assert_allclose(distance, reference, atol=0.02)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=8)
 @given(seed=st.integers(0, 10**6), spread=st.floats(0.01, 10))
 def test_no_triangle_is_overlooked(seed, spread):

@@ -119,7 +119,11 @@ def test_settings_tell_it():
 
 @pytest.mark.parametrize(
     "sigma",
-    [(0.3, 0.11, 0.11), (6.0, 0.2, 0.2), pytest.param((0.05, 0.05, 0.05), marks=pytest.mark.slow)],
+    [
+        pytest.param((0.3, 0.11, 0.11), marks=pytest.mark.slow),
+        (6.0, 0.2, 0.2),
+        pytest.param((0.05, 0.05, 0.05), marks=pytest.mark.slow),
+    ],
 )
 def test_whatever_a_fit_may_find_has_settings(sigma):
     """As far as it may go, and from there as far again."""

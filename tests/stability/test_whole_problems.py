@@ -95,13 +95,8 @@ def test_a_hard_mesh_is_fitted(shared_data):
     assert found.last_loss < found.first_loss
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name if i == 0 else pytest.param(name, marks=pytest.mark.slow)
-        for i, name in enumerate(THREADED)
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", THREADED)
 def test_one_and_two_threads_end_alike(name):
     apart, one, two = apart_by_threads(THREADED[name])
     assert one == two

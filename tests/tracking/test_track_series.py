@@ -199,7 +199,7 @@ def dividing():
 @pytest.mark.parametrize(
     ("images", "done", "cells"),
     [
-        pytest.param(drifting(4), 2, [(1,), (1,)], id="drifting"),
+        pytest.param(drifting(4), 2, [(1,), (1,)], id="drifting", marks=pytest.mark.slow),
         pytest.param(dividing(), 2, [(2, 3)], id="divided", marks=pytest.mark.slow),
         pytest.param(dividing(), 1, 2 * [(2, 3)], id="before it divides", marks=pytest.mark.slow),
     ],
