@@ -108,6 +108,7 @@ def test_photons_tell_them_apart():
     assert many < few
 
 
+@pytest.mark.slow
 def test_membranes_alone_are_no_insides():
     ball = sphere(CENTER, RADIUS, subdivisions=3)
     made = nd.simulate(nd.Scene.of(ball, OPTICS), GRID, photons=100.0, background=5.0, seed=2)

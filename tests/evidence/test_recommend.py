@@ -97,6 +97,7 @@ def test_it_is_the_same_every_time(hazy, one_thread):
     assert one == other
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_there_is_not_asked_for_again(hazy):
     image, _ = hazy
     held = Effects.of(Halo(fraction=0.3, width=1.0))

@@ -146,10 +146,11 @@ def test_a_change_is_part_of_the_checkpoint(image, tmp_path):
     np.testing.assert_array_equal(finished(again, None).mesh.vertices_numpy()[:5], moved[:5])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "effects"),
     [
-        pytest.param(Change(optics=GaussianPSF(0.2)), (), marks=pytest.mark.slow),
+        (Change(optics=GaussianPSF(0.2)), ()),
         (Change(effects=Effects.of(Halo(fraction=0.1, width=0.6))), (Halo(width=0.2),)),
     ],
 )

@@ -129,6 +129,7 @@ def test_one_newton_step_gains_what_it_predicts():
     assert before.value - after.value == pytest.approx(predicted, rel=0.3)
 
 
+@pytest.mark.slow
 def test_brightness_of_insides_follows_the_surface():
     """How far noise moves all of it, against differences of gradients and of images."""
     light = Light(1.0, 6.0)

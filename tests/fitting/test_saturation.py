@@ -85,6 +85,7 @@ def test_what_is_cut_is_filled_in_by_what_is_brighter():
     assert share_cut(measured(noise=1)) == 0
 
 
+@pytest.mark.slow
 def test_a_cut_membrane_is_found_as_a_whole_one_is():
     """Six in ten bright voxels are cut. As they are, they widen the PSF by 14 % (measured)."""
     image, settings = measured(noise=1), FitSettings(levels=(1.0,), fit_psf=True)

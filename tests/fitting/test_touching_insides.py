@@ -55,10 +55,8 @@ def test_the_wall_between_two_nuclei_stays_where_they_meet(closed, monkeypatch) 
     assert not any(np.isnan(off))
 
 
-@pytest.mark.parametrize(
-    ("light", "name"),
-    [(INSIDES, "interior"), pytest.param(MEMBRANES, "membrane", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("light", "name"), [(INSIDES, "interior"), (MEMBRANES, "membrane")])
 def test_what_shines_in_small_cells_is_asked_of_the_image(light, name) -> None:
     """Of 2.3 widths of the PSF: an inside, or a membrane further in, explains it as well."""
     places, radii = PLACES[[0, 2]], np.array([0.65, 0.62])

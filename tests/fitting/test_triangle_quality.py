@@ -64,7 +64,8 @@ def test_not_where_it_is_not_wanted(image):
     assert np.array_equal(ends(fit(image, GRID, good, OPTICS)).mesh.faces, good.faces)
 
 
-@pytest.mark.parametrize("density", ["smooth", pytest.param("interface", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("density", ["smooth", "interface"])
 def test_the_density_goes_along(image, density):
     settings = SETTINGS.model_copy(update={"density": density})
     last = ends(fit(image, GRID, squeezed(), OPTICS, settings=settings))

@@ -95,6 +95,7 @@ def test_of_one_cell_nothing_further_is_fitted():
     assert len(Insides.of(two(7.0), "smooth", "membrane", False)) == 0
 
 
+@pytest.mark.slow
 def test_at_blurred_levels_they_stay_as_they_were_found():
     """Alike, the dim cell would shrink, and the bright one grow."""
     settings = SETTINGS.model_copy(update={"levels": (2.0, 1.0), "structure": "interior"})

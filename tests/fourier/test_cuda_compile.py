@@ -92,6 +92,7 @@ def test_compiles_without_warnings_spills_and_local_memory(build, kernels, archi
     assert local == dict.fromkeys(kernels, 0)
 
 
+@pytest.mark.slow
 def test_a_spill_would_be_seen():
     """With sixteen blocks at a time, the registers of the loops do not suffice."""
     _, local = report(replace(SINGLE, resident=16), "sm_90")

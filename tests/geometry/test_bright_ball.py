@@ -49,6 +49,7 @@ def test_a_point_in_it_is_enough(monkeypatch):
     assert mesh.region_volume(1) == pytest.approx(4 / 3 * np.pi * 2.4**3, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_region_that_was_found_stays():
     """Of a nucleus with a bright nucleolus under the point, all."""
     stack = image(3.0, slope=0) + 60 * (distances() < 1.0)

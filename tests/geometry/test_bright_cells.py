@@ -281,6 +281,7 @@ def test_cells_with_bright_rims_are_found_whole_where_walls_enclose_none(monkeyp
     assert matched(found.labels, labels) == 1
 
 
+@pytest.mark.slow
 def test_no_cell_has_crumbs_beside_it():
     rng = np.random.default_rng(0)
     image = gaussian_filter(rng.normal(size=(40, 48, 48)), 3.0)  # blobs with necks of any width

@@ -90,6 +90,7 @@ def test_a_second_point_in_one_of_the_parts_is_told():
     assert set(np.unique(found)) == {0, 1, 2}
 
 
+@pytest.mark.slow
 def test_the_dim_middle_of_a_nucleus_is_not_a_cell():
     """Chromatin often leaves the middle of a nucleus dimmer, and it closes around a point there."""
     (whole,), (middle,) = (balls((20, 20, 24), shape=(40, 40, 48), radius=r) for r in (14.0, 6.0))

@@ -122,6 +122,7 @@ def test_undo_of_settings_shows_them_again(begun, spin):
     assert begun.edits.redo_note == "brightness smooth"
 
 
+@pytest.mark.slow
 def test_a_new_run_forgets_the_old_one(ended, spin):
     use(ended, "pin", 0.4).drag(right_end(ended))
     old = ended.doc.timeline
@@ -143,6 +144,7 @@ def test_a_failed_start_keeps_the_last_result(ended, with_image, spin, told):
     assert notes(ended)[-1] == "push"
 
 
+@pytest.mark.slow
 def test_a_step_that_takes_long_is_told_instead_of_a_time_that_stands_still(
     seeded, spin, monkeypatch
 ):

@@ -94,6 +94,7 @@ def test_pins_shown_are_those_of_the_fit(begun, with_image, gate, spin):
     assert begun.running.edit.pins.text().startswith(f"Free {state.pinned.sum()} ")
 
 
+@pytest.mark.slow
 def test_pins_are_those_of_the_newest_state_before_the_window_has_shown_it(begun, gate):
     pin_right(begun)
     run, asked_of = begun.doc.run, begun.doc.present().state.mesh

@@ -121,6 +121,7 @@ def test_closing_releases_a_panel_whose_preview_is_under_way(window, pixels, spi
     assert "cell: start contours" not in window.layers
 
 
+@pytest.mark.slow
 def test_a_closed_panel_shows_nothing_more(panel, with_image, spin, held):
     gate, calls = held
     layer = add_points(panel, with_image, CENTER)

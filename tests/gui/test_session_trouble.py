@@ -136,6 +136,7 @@ def test_closing_the_widget_while_a_session_is_saved(seeded, spin, tmp_path):
     assert load_session(tmp_path / "a.deltamic").result is not None
 
 
+@pytest.mark.slow
 def test_capture_shares_the_pixels(seeded, with_image, spin):
     """A large image is not copied."""
     fitted(seeded, spin)

@@ -36,6 +36,7 @@ def test_same_surface_has_no_distance():
     assert result.max < 1e-14
 
 
+@pytest.mark.slow
 def test_one_way_differs_from_the_other():
     small, large = box((0, 0, 0), 1), box((0, 0, 0), 2)
     result = surface_distance(small, large)

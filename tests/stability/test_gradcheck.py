@@ -61,6 +61,7 @@ def test_public_render(integrate):
     assert gradcheck(image, (v, rho), atol=1e-7)
 
 
+@pytest.mark.slow
 def test_tilted_psf():
     mesh, grid, v, _ = scene((5, 6, 7))
     optics = nd.GaussianPSF(covariance=TILTED)

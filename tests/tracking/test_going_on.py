@@ -36,6 +36,7 @@ def test_divisions_are_looked_for_right_after_going_on(monkeypatch):
     assert calls == [1, 1]  # in what the end of the fit left, and in what its start did
 
 
+@pytest.mark.slow
 def test_a_dark_frame_right_after_going_on_is_left_out():
     images = np.array(drifting(3))
     done = tracked(images[:2])
@@ -77,6 +78,7 @@ def test_the_psf_of_the_first_frame_stays_and_that_of_an_objective_takes_over():
     assert kept == [0, 0, 2, 2]
 
 
+@pytest.mark.slow
 def test_what_shines_in_the_first_frame_does_in_all_others():
     states = track(drifting(3), GRID, ball(), OPTICS, NEAR.model_copy(update={"structure": "auto"}))
     done = [state.done for state in states if state.done is not None]
