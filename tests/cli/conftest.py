@@ -38,7 +38,7 @@ def quick(monkeypatch, request, a_picture):
 
 @pytest.fixture
 def judged():
-    """For tests of the picture of a fit, and of how good it is said to be."""
+    """For tests of the picture of a fit and of how good it is, or that compare with a child's."""
 
 
 @pytest.fixture(scope="session")

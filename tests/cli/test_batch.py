@@ -74,6 +74,7 @@ def test_a_table_of_something_else_is_kept(fails, stacks, tmp_path):
     assert (tmp_path / "cells.csv").read_text() == "mine"
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.slow
 def test_other_options_fit_again(run, stacks, tmp_path):
     (stacks / "bad.tif").unlink()
@@ -87,6 +88,7 @@ def test_other_options_fit_again(run, stacks, tmp_path):
     assert [row["iterations"] for row in second] == ["5", "5"]
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.slow
 def test_other_settings_of_the_same_name_fit_again(run, stacks, data, tmp_path):
     """A file of settings that has changed is another option."""
@@ -178,6 +180,7 @@ def test_ctrl_c_ends_the_batch_and_what_it_cut_short_is_fitted_again(
     assert [row["iterations"] for row in rows(out / "summary.csv")] == ["3", "3"]
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no groups of processes to interrupt")
 def test_ctrl_c_reaches_all_processes_without_tracebacks(stacks, tmp_path):
@@ -199,6 +202,7 @@ def test_ctrl_c_reaches_all_processes_without_tracebacks(stacks, tmp_path):
     assert [row["status"] for row in summary] == ["failed", "not done", "not done"]
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="the system has no such kill")
 def test_a_kill_loses_nothing_that_is_finished(run, stacks, tmp_path):
@@ -217,6 +221,7 @@ def test_a_kill_loses_nothing_that_is_finished(run, stacks, tmp_path):
         assert (killed / name).read_text() == (whole / name).read_text()
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.slow
 def test_processes_of_this_machine(run, stacks, tmp_path):
     pytest.importorskip("distributed")

@@ -113,6 +113,7 @@ def test_workers_fit_as_fast_as_the_command_alone(monkeypatch):
         assert client.submit(state).result(timeout=60) == (50_000, False, False, "1")
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.slow
 def test_a_worker_that_is_killed_is_replaced(blocked, alone, tmp_path):
     out = tmp_path / "out"
@@ -127,6 +128,7 @@ def test_a_worker_that_is_killed_is_replaced(blocked, alone, tmp_path):
     assert tables(out) == alone
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.slow
 def test_a_scheduler_that_is_gone(blocked, alone, tmp_path, capsys):
     """What is finished is kept, the end is one sentence, and the next run needs no scheduler."""
