@@ -203,7 +203,6 @@ def test_ctrl_c_reaches_all_processes_without_tracebacks(stacks, tmp_path):
 
 
 @pytest.mark.usefixtures("judged")
-@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="the system has no such kill")
 def test_a_kill_loses_nothing_that_is_finished(run, stacks, tmp_path):
     arguments = ("batch", stacks, *SEEDS, "--workers", 0, "-o")

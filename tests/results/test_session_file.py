@@ -200,7 +200,6 @@ def test_a_session_without_its_bead_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
 def test_temporary_folders_go(tmp_path):
     with_a_bead(tmp_path, "bead.tif")
     code = (
