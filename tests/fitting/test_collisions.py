@@ -249,6 +249,7 @@ def test_without_the_extension_two_cells_are_fitted_as_they_are(two, monkeypatch
     monkeypatch.delattr(geometry, "_remesh", raising=False)
     states, _ = fitted(two, True, max_iterations=10)
     assert len(states[-1].mesh.region_ids()) == 2
+    assert states[-1].loss < states[0].loss / 3
 
 
 def test_a_start_that_crosses_is_fitted_and_told():
