@@ -16,7 +16,8 @@ from napari_deltamic.cli.messages import Notes
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import files, sphere
 from napari_deltamic.gui.results import more_actions
-from napari_deltamic.gui.viewing.frame import camera_of
+from napari_deltamic.gui.viewing.colours import BY_VALUE, region_colours
+from napari_deltamic.gui.viewing.frame import OWN, camera_of
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.cell_columns import COLUMNS
 from napari_deltamic.results.report import History
@@ -167,6 +168,49 @@ def test_a_row_dims_the_other_cells_and_goes_there(widget, with_image):
     assert scene.camera.center[-2:] == pytest.approx(world[-2:], abs=0.05)
     widget.results.table.clearSelection()
     np.testing.assert_array_equal(surface.data[2], plain)
+
+
+@pytest.mark.parametrize("chosen_first", [True, False])
+def test_a_row_dims_the_other_cells_where_a_column_gives_the_colours(
+    widget, with_image, chosen_first
+):
+    results, surface = widget.results, with_image.layers["cell: surfaces"]
+    contours = with_image.layers["cell: contours"]
+    world = np.add(CENTERS[7], (1, 2, 3))
+    by_place = results.colour.findData("centroid_x_um")
+    for chosen in (chosen_first, not chosen_first):
+        if chosen:
+            results.table.selectRow(1)
+        else:
+            results.colour.setCurrentIndex(by_place)
+    with_image.dims.ndisplay = 3
+    drawn = of_cells(surface)
+    np.testing.assert_allclose(drawn[7], BY_VALUE.map(np.ones(1))[0], atol=0.01)
+    assert drawn[3][3] < 0.5, "one looks through what is not chosen"
+    with_image.dims.ndisplay = 2
+    with_image.dims.set_point(0, world[0])
+    lines = np.unique(contours.edge_color, axis=0)
+    assert len(lines) == 2
+    yellow = np.abs(lines - BY_VALUE.map(np.ones(1))).max(axis=1) < 0.01
+    assert yellow.sum() == 1
+    assert np.ptp(lines[~yellow][0, :3]) < 0.2, "greyish"
+    results.table.clearSelection()
+    drawn = of_cells(surface)
+    np.testing.assert_allclose(drawn[3], BY_VALUE.map(np.zeros(1))[0], atol=0.01)
+    np.testing.assert_allclose(drawn[7], BY_VALUE.map(np.ones(1))[0], atol=0.01)
+    results.colour.setCurrentIndex(0)
+    np.testing.assert_allclose(of_cells(surface)[7], region_colours(7), atol=0.01)
+
+
+def of_cells(surface):
+    """The colour in which a surface layer draws each cell."""
+    _, faces, values = surface.data
+    low, high = surface.contrast_limits
+    regions = np.repeat(surface.metadata[OWN]["regions"].max(axis=1), 3)
+    colours = surface.colormap.map((np.asarray(values)[faces.ravel()] - low) / (high - low))
+    for region in CENTERS:
+        assert np.ptp(colours[regions == region], axis=0).max() < 1e-3
+    return {region: colours[regions == region][0] for region in CENTERS}
 
 
 @pytest.mark.usefixtures("judged")

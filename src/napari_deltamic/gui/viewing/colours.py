@@ -15,15 +15,37 @@ from ...geometry import Mesh
 from ...results.colouring import COLOURS, PALETTE, colour_indices, label_indices, plain_index
 
 _DIM, _GREY = 0.75, 0.42  # a cell that is not chosen: so much of this grey in its colour
+_GHOSTLY = 0.2  # its opacity in 3D: one looks through it at what is chosen
 _OPAQUE = np.ones((len(PALETTE), 1))
 PALETTE_RGBA = np.hstack([np.array(PALETTE) / 255, _OPAQUE])
 _DIMMED = np.hstack([(1 - _DIM) * PALETTE_RGBA[:, :3] + _DIM * _GREY, _OPAQUE])
 _BOTH = np.concatenate([PALETTE_RGBA, _DIMMED])
 _GHOSTS = _BOTH.copy()
-_GHOSTS[len(PALETTE_RGBA) :, 3] = 0.2  # in 3D one looks through them at what is chosen
+_GHOSTS[len(PALETTE_RGBA) :, 3] = _GHOSTLY
 # Viridis without its darkest third, which could not be seen on a dark image.
 BY_VALUE = Colormap(ensure_colormap("viridis").map(np.linspace(0.35, 1, 64)), name="by value")
+_GHOSTS_FROM = 2.0  # where the colours of what is not chosen begin, in widths of the limits
 LIMITS = (0.0, float(len(_BOTH)))
+
+
+def _dimmed(colours: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.hstack([(1 - _DIM) * colours[:, :3] + _DIM * _GREY, colours[:, 3:]])
+
+
+def _with_ghosts() -> Colormap:
+    """Over thrice the limits: ``BY_VALUE``, and the same for what is not chosen."""
+    bright = np.asarray(BY_VALUE.colors, float)
+    ghosts = _dimmed(bright)
+    ghosts[:, 3] = _GHOSTLY
+    n, end = len(bright), 1 / (_GHOSTS_FROM + 1)
+    controls = np.concatenate(
+        [np.linspace(0, end, n), (1.5 * end, 1.5 * end), np.linspace(_GHOSTS_FROM * end, 1, n)]
+    )
+    colours = np.concatenate([bright, bright[-1:], ghosts[:1], ghosts])
+    return Colormap(colours, controls=controls, name="by value, some chosen")
+
+
+_BY_VALUE_CHOSEN = _with_ghosts()
 
 
 @dataclass(frozen=True)
@@ -48,12 +70,31 @@ class ByValue:
         known = np.array([self.values.get(int(name), np.nan) for name in names], np.float32)
         return known[inverse].reshape(np.shape(regions))
 
-    def rgba(self, regions: Any) -> NDArray[np.float64]:
-        """(n, 4) the colours of regions."""
+    def look(self, chosen: Collection[int]) -> tuple[Colormap, tuple[float, float]]:
+        """The colormap of a surface with ``surface_values``, and its limits."""
+        low, high = self.limits
+        if not chosen:
+            return BY_VALUE, (low, high)
+        return _BY_VALUE_CHOSEN, (low, low + (_GHOSTS_FROM + 1) * (high - low))
+
+    def surface_values(
+        self, sides: NDArray[np.int64], chosen: Collection[int] = ()
+    ) -> NDArray[np.float32]:
+        """(n,) a value for vertices between some regions each, (n, k), as in ``side_values``."""
+        low, high = self.limits
+        own = np.where(np.isin(sides, list(chosen)), sides, 0).max(axis=1)
+        values = np.nan_to_num(self.at(np.where(own > 0, own, sides.max(axis=1))), nan=low)
+        dim = (own == 0) & bool(chosen)
+        return np.where(dim, values + _GHOSTS_FROM * (high - low), values).astype(np.float32)
+
+    def rgba(self, regions: Any, chosen: Collection[int] = ()) -> NDArray[np.float64]:
+        """(n, 4) the colours of regions; where some are chosen, the others are dimmed."""
         low, high = self.limits
         share = (self.at(regions) - low) / (high - low)
         colours = np.asarray(BY_VALUE.map(np.nan_to_num(np.atleast_1d(share))), float)
         colours[~np.isfinite(np.atleast_1d(share))] = (_GREY, _GREY, _GREY, 1.0)
+        dim = ~np.isin(np.atleast_1d(regions), list(chosen)) & bool(chosen)
+        colours[dim] = _dimmed(colours[dim])
         return colours
 
 

@@ -127,7 +127,7 @@ class Contours:
             # The name of one colour is much cheaper to set than an array of them.
             shown = regions if (regions != regions[0]).any() else regions[0]
             if self.by is not None:
-                layer.edge_color = self.by.rgba(shown)
+                layer.edge_color = self.by.rgba(shown, self.chosen)
             else:
                 layer.edge_color = region_colours(shown, self.chosen, self.colours)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
-from .colours import BY_VALUE, LIMITS, ByValue, region_colormap, side_values, surface_look
+from .colours import LIMITS, ByValue, region_colormap, side_values, surface_look
 from .contours import Contours
 from .frame import MADE_BY_FIT, OWN, Frame, camera_of
 from .listening import Connections
@@ -99,17 +99,15 @@ class MeshLayers:
         """Dim all cells but some; none of them: show all alike."""
         if regions != self.contours.chosen:
             self.contours.chosen = regions
+            self._dress()
             self._colour_anew()
 
     def colour_by(self, values: Mapping[int, float] | None) -> None:
         """Colour cells by a number of each, by region; None: each has its own colour."""
         if values is None and self.contours.by is None:
             return
-        by = self.contours.by = None if values is None else ByValue(values)
-        layer = self.surface if self.has(self.surface) else None
-        if layer is not None and self.shown is not None:
-            layer.colormap = region_colormap() if by is None else BY_VALUE
-            layer.contrast_limits = LIMITS if by is None else by.limits
+        before, self.contours.by = self.contours.by, None if values is None else ByValue(values)
+        self._dress(anew=before is not None)
         self._colour_anew()
 
     def face_of(self, drawn: int) -> int | None:
@@ -182,6 +180,14 @@ class MeshLayers:
         if found != self.contours.colours:
             self.contours.colours, self._values = found, None
 
+    def _dress(self, *, anew: bool = False) -> None:
+        """Give the surface the colormap that its values need; anew: after another one, too."""
+        by, layer = self.contours.by, self.surface
+        if layer is None or not self.has(layer) or (by is None and not anew):
+            return
+        both = (region_colormap(), LIMITS) if by is None else by.look(self.contours.chosen)
+        layer.colormap, layer.contrast_limits = both
+
     def _colour_anew(self) -> None:
         layer = self.surface
         if self.shown is None:
@@ -201,8 +207,7 @@ class MeshLayers:
         if self._values is None:
             by = self.contours.by
             if by is not None:
-                values = by.at(apart.sides.max(axis=1))
-                self._values = np.nan_to_num(values, nan=by.limits[0])
+                self._values = by.surface_values(apart.sides, self.contours.chosen)
             else:
                 self._values = side_values(apart.sides, self.contours.chosen, self.colours)
             apart = self._apart = apart.first(mesh, self.contours.chosen)
@@ -238,6 +243,7 @@ class MeshLayers:
         self.connections.connect(surface.events.visible, self._catch_up)
         # Last: the layer that is added last is selected, and its controls are shown.
         self.add(surface, above=self.low)
+        self._dress()
 
     def _make_surface(self, data: Any, **options: Any) -> Surface:
         self._placed = self._belongs()
