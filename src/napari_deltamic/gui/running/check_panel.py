@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -32,6 +33,9 @@ _SCALE = (
     "Measured minus rendered; the colour bar is in standard deviations of the noise. Green is "
     "brighter than rendered, magenta darker."
 )
+_NUMBER = r"(-?[\d.]+)"
+# In a verdict of ``fitting.reporting``; of a session that was saved, nothing but it is known.
+_MOVES = re.compile(rf"still moves at \({_NUMBER}, {_NUMBER}, {_NUMBER}\)")
 _MOST_POINTS = 400  # points drawn
 _OVER_CURVE = 18  # px above the plot
 _CURVE = ("#ffb000", "#a35f00")  # on dark, and on light
@@ -47,6 +51,7 @@ class CheckPanel(QGroupBox):
         self._doc = doc
         self._note_of: Any = None  # the image that the note is about
         self._seen: list[float] | None = None  # where the view was that the note speaks of
+        self._moving: list[float] | None = None  # where the surface still moves, um in the frame
         self._offset = 0  # iterations of the runs before the present one
         self.away, self.away_row = Note(self, "fair"), QWidget(self)
         tip = "Move the slider to the time of the result."
@@ -54,6 +59,8 @@ class CheckPanel(QGroupBox):
         self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
         tip = "Go to where the image differs most from the rendered one."
         self.worst = button("Worst place", tip, self.go_to_worst, self)
+        tip = "Go to the place that the line above names."
+        self.moving = button("Show where the surface still moves", tip, self.go_to_moving, self)
         self.stray = Note(self)
         self.stray_row = QWidget(self)
         self._next_stray = 0
@@ -110,6 +117,14 @@ class CheckPanel(QGroupBox):
                 f"In the middle of the view the image is {kind} than rendered, by "
                 f"{abs(spots[0].z):.0f} standard deviations of the noise."
             )
+            self._seen = self._middle()
+
+    def go_to_moving(self) -> None:
+        """Move the view to where the surface still moves, as the verdict says."""
+        place, link = self._moving, self._doc.link
+        if place is not None and link is not None:
+            link.go_to(place)
+            self.tell("In the middle of the view the surface still moves.")
             self._seen = self._middle()
 
     def _go_to_time(self) -> None:
@@ -207,6 +222,9 @@ class CheckPanel(QGroupBox):
         """How it ended, in the first line of a text; those after it are remarks, in a list."""
         said, *remarks = text.split("\n")
         self.verdict.say(said, verdict)
+        found = _MOVES.search(said)
+        self._moving = None if found is None else [float(number) for number in found.groups()]
+        self.moving.setVisible(found is not None)
         self.remarks.set_title(counted(len(remarks), "remark"))
         self.remarks.content.say("\n".join(remarks))
         self.remarks.unfold(False)
@@ -265,9 +283,10 @@ class CheckPanel(QGroupBox):
         row((self.away, 1), self.away_go, of=self.away_row)
         row((self.stray, 1), self.stray_go, self.stray_add, of=self.stray_row)
         ended = row((self.verdict, 1), self.worst)
-        said = self.away_row, self.grade, self.again, ended, self.note, self.remarks, self.stray_row
+        said = self.away_row, self.grade, self.again, ended, self.moving, self.note
+        more = self.remarks, self.stray_row
         shown = self._looks, self.scale, self.curve, self.history, self.edit, self.numbers
-        filled(QVBoxLayout(self), *said, *shown)
+        filled(QVBoxLayout(self), *said, *more, *shown)
 
 
 class LiveNumbers(Fold):
