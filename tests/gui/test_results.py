@@ -241,6 +241,12 @@ def test_what_a_fit_says_of_where_it_moves_is_understood():
     assert place == pytest.approx(mesh.vertices_numpy()[5], abs=0.051)
 
 
+def test_columns_have_titles_in_english():
+    names = {column.key: column.name for column in COLUMNS}
+    assert names["n_contacts"] == "contacts"
+    assert names["gaussian_curvature_integral"] == "Gaussian curvature integral"
+
+
 @pytest.mark.usefixtures("judged")
 def test_what_is_said_of_the_middle_of_the_view_goes_when_it_moves(widget, with_image, spin):
     check, camera = widget.running, camera_of(with_image)

@@ -12,7 +12,13 @@ from ..common.words import readable
 from ..measure.all_cells import CELL_COLUMNS
 
 _SUFFIX = {"um^3": "_um3", "um^2": "_um2", "um": "_um", "1/um": "_per_um"}
-_TITLES = {"region": "cell", "residual_z": "misfit", "cut_by_border": "cut"}
+_TITLES = {
+    "region": "cell",
+    "residual_z": "misfit",
+    "cut_by_border": "cut",
+    "n_contacts": "contacts",
+    "gaussian_curvature_integral": "Gaussian curvature integral",
+}
 _SHARES = ("explained",)
 _ERROR_DIGITS = 2  # an error is not known better
 # Those that are shown until the user chooses others.
