@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -62,6 +63,15 @@ def test_one_click_gives_a_surface_over_time(widget, viewer, series, spin):
     assert viewer.dims.current_step[0] == 3, "what is looked at moves on with the frames"
     assert widget.tracking.frame.text().startswith("time 3: 1 cell")
     assert widget.tracking.table.rowCount() == 1
+
+
+def test_lengths_of_a_frame_are_in_the_units_of_the_window(widget, monkeypatch):
+    result = SimpleNamespace(mesh=None, message="the surface still moves at (2.8, 5.6, 5.3) um")
+    shown = SimpleNamespace(result=result, results=[result])
+    with monkeypatch.context() as patched:
+        patched.setattr(widget.tracking, "layers", shown)
+        widget.tracking._show_frame()
+    assert widget.tracking.frame.text().endswith(" µm")
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from ..fields import Form
 from ..layer_channels import origin_of
 from ..viewing.frame import Frame, data_of
 from ..widgets import Note, button, filled, row
-from ..window_words import attempt
+from ..window_words import attempt, for_window
 from ..work import Outcome
 from .layers import TrackLayers
 from .track_work import Frames, TrackWork
@@ -236,14 +236,14 @@ class TrackPanel(QGroupBox):
         if layers is None or result is None:
             self.frame.setText("not tracked at this time")
         elif result.mesh is None:
-            self.frame.setText(result.message)
+            self.frame.setText(for_window(result.message))
         else:
             self._frame = result.frame
             rows, length = measure_cells(result.mesh), layers.frame.length
             self.table.show_rows(rows, layers.colours, length)
             told = [*(event.text for event in result.events), result.message]
             text = f"time {result.frame}: {counted(len(result.cells), 'cell')}"
-            self.frame.setText("; ".join([text, *filter(None, told)]))
+            self.frame.setText(for_window("; ".join([text, *filter(None, told)])))
 
     def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
         """Go to the cell chosen last, at the time of its row."""
