@@ -421,3 +421,9 @@ def test_a_fit_that_begins_anew_with_another_psf(seeded, spin, monkeypatch, tmp_
     save(seeded, tmp_path / "a.deltamic", spin)
     result = load_session(tmp_path / "a.deltamic").result
     assert repr(result.state.optics) == repr(record.state.optics)
+
+
+def test_a_fit_that_is_stopped_by_a_key_is_said_to_stop(begun):
+    begun.start_or_stop()
+    begun.doc.work.looked.emit()
+    assert begun.footer.message.text() == "stopping ..."

@@ -88,14 +88,16 @@ class Footer(QWidget):
     def _looked(self) -> None:
         """What any task is doing; a fit, which says more, only where that takes long."""
         task: Any = self._doc.work.task
-        if isinstance(task, FitRun):
+        if task is not None and task.stopping:  # by a key, as well
+            self.message.say("stopping ...")
+        elif isinstance(task, FitRun):
             waited = time.monotonic() - self._since
-            if self._iterations and waited > self._long and not (task.paused or task.stopping):
+            if self._iterations and waited > self._long and not task.paused:
                 # It compares what else may shine, or other PSFs, and tells of no iteration then.
                 so_far = f"{waited:.0f} s so far; {counted(self._iterations, 'iteration')}"
                 self.message.say(f"the next step takes longer: {so_far}")
         elif task is not None:
-            self.message.say(f"{task.stage} ..." if not task.stopping else "stopping ...")
+            self.message.say(f"{task.stage} ...")
             if task.share is not None:
                 self._advance(round(100 * task.share), 100)
 
