@@ -28,3 +28,14 @@ def test_the_number_of_threads_stays():
     before = torch.get_num_threads()
     blurred(np.ones((4, 4, 4)), (1, 1, 1), 3.0)
     assert torch.get_num_threads() == before
+
+
+def test_where_a_stack_lies_in_memory_changes_no_bit():
+    """Products of matrices take other ways through memory that is not aligned."""
+    values = np.random.default_rng(0).normal(size=(20, 70, 75)).astype(np.float32)
+    found = blurred(values, (1.3, 0.9, 2.1), 3.0)
+    room = np.empty(values.size + 32, np.float32)
+    for first in range(32):
+        moved = room[first : first + values.size].reshape(values.shape)
+        moved[:] = values
+        assert np.array_equal(blurred(moved, (1.3, 0.9, 2.1), 3.0), found)

@@ -61,7 +61,7 @@ class Plain(Renderer):
         return otf
 
     def image(self, transform, otf, known=None):
-        return self.plan.band.to_image(transform, self.grid.shape, otf)
+        return self.plan.band.to_image(transform, self.grid.shape, otf, known)
 
 
 class Operations(TorchDispatchMode):
