@@ -53,3 +53,17 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="session")
+def a_picture() -> bytes:
+    """Of no fit in particular, for tests that do not look at it: to draw one takes long."""
+    import numpy as np
+
+    from napari_deltamic import Grid
+    from napari_deltamic.geometry import sphere
+    from napari_deltamic.results.picture import picture_png
+
+    grid = Grid((4, 4, 4), (0.3, 0.2, 0.2))
+    nothing = np.zeros(grid.shape)
+    return picture_png(nothing, nothing, sphere((0.5, 0.3, 0.3), 0.2, edge_length=0.2), grid)

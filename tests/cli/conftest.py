@@ -11,19 +11,10 @@ from napari_deltamic.fitting import fit
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import write_image
 from napari_deltamic.results import html_page, report
-from napari_deltamic.results.picture import picture_png
 
 SIZE = (0.3, 0.2, 0.2)
 SHAPE = (20, 24, 24)
 CENTER = (2.9, 2.3, 2.3)
-
-
-@pytest.fixture(scope="session")
-def a_picture():
-    """Of no fit in particular."""
-    grid = nd.Grid((4, 4, 4), SIZE)
-    nothing = np.zeros(grid.shape)
-    return picture_png(nothing, nothing, sphere((0.5, 0.3, 0.3), 0.2, edge_length=0.2), grid)
 
 
 @pytest.fixture(autouse=True)

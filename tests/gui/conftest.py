@@ -44,7 +44,6 @@ from napari_deltamic.fourier.cost import BUILT_IN
 from napari_deltamic.geometry import sphere
 from napari_deltamic.results import report
 from napari_deltamic.results.judged import compared
-from napari_deltamic.results.picture import picture_png
 from napari_deltamic.tracking import track
 
 SIZE = (0.3, 0.2, 0.2)
@@ -70,14 +69,6 @@ def frozen():
     """
     gc.collect()
     gc.freeze()
-
-
-@pytest.fixture(scope="session")
-def a_picture():
-    """Of no fit in particular."""
-    grid = nd.Grid((4, 4, 4), SIZE)
-    nothing = np.zeros(grid.shape)
-    return picture_png(nothing, nothing, sphere((0.5, 0.3, 0.3), 0.2, edge_length=0.2), grid)
 
 
 @pytest.fixture(autouse=True)
