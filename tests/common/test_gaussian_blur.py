@@ -9,7 +9,7 @@ from napari_deltamic.common.gaussian_blur import blurred
 
 
 @pytest.mark.parametrize("shape", [(5, 70, 131), (1, 3, 64), (129, 2, 7)])
-@pytest.mark.parametrize("widths", [(0.3, 1.5, 4.0), (6.0, 0.7, 0.7)])
+@pytest.mark.parametrize("widths", [(0.3, 1.5, 4.0), (6.0, 0.7, 0.7), (1.2, 0.0, 0.0)])
 def test_it_is_that_of_scipy(shape, widths):
     values = np.random.default_rng(0).normal(size=shape)
     found = blurred(values, widths, 3.0)

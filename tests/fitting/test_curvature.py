@@ -60,6 +60,18 @@ def test_vertices_of_a_colour_are_out_of_reach_of_each_other():
         assert apart[apart > 0].min(initial=np.inf) > 2 * found.reach
 
 
+def test_what_was_rendered_elsewhere_is_not_taken_for_what_is_there():
+    """Columns of PSF and effects, where gradients were asked for last, and where they were not."""
+    asked, other = posed(), posed()
+    further = replace(asked.at, vertices=asked.at.vertices + 0.1)
+    asked.posterior(asked.at)
+    rows = np.arange(len(asked.posterior.views[0].voxels.index))
+    for at in (asked.at, further):
+        found, told = (one.posterior.imaging_columns(at, rows)[0] for one in (asked, other))
+        assert found.size
+        np.testing.assert_allclose(found, told, rtol=0, atol=1e-5 * np.abs(told).max())
+
+
 def test_jacobian_is_that_of_single_vertices(there):
     normals = -MESH.vertices_numpy() + CENTER
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

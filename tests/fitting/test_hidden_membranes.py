@@ -17,8 +17,10 @@ from napari_deltamic.fitting.model_choice import ModelChoice
 from napari_deltamic.fitting.schedule import Progress
 from napari_deltamic.fitting.shape import Shape
 from napari_deltamic.geometry import sphere
+from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.light import Light
 
 MIDDLE = np.full(3, 2.3)
 
@@ -54,14 +56,14 @@ def followed(
 
     over : brightness of insides after each, 1 unless given. less : what the trial should say.
     even : whether brightness deep inside hardly varies. mesh : the cells. uneven : whether insides
-    of both are, by what is left of them. varies : by how much brightness deep inside does.
+    of both are, by what is left of them. varies : by how much brightness deep inside surely does.
     """
     fitted = SimpleNamespace(mesh=mesh, first_optics=NARROW)
 
     def rival(leg):
         shows = SimpleNamespace(structure=shines)
         return SimpleNamespace(
-            leg=leg, structure=lambda: shows, fitted=fitted, insides_vary=lambda: varies
+            leg=leg, structure=lambda: shows, fitted=fitted, insides_vary=lambda: (varies, 2.0)
         )
 
     def gained(one, other):
@@ -85,7 +87,7 @@ def followed(
     )
     trial = _followed(_Trial(rival(0), 5), None, 6)
     leg, may = trial.rival.leg, shines != "interior"
-    denied = uneven if mesh is SHEET else 0.5 < varies < np.inf
+    denied = uneven if mesh is SHEET else varies > 0.65
     seen = not denied and (even or not over or over[leg] <= 2.5)
     assert trial.stands == (may and gains[leg] > 100 and seen)
     assert trial.hints == (may and max(gains[: leg + 1]) > 60)
@@ -142,7 +144,7 @@ def test_flat_cells_have_no_membrane_that_may_be_chromatin(monkeypatch):
     assert followed(monkeypatch, *gains, mesh=SHEET, uneven=False) == 1
 
 
-@pytest.mark.parametrize(("varies", "legs"), [(0.4, 1), (0.6, 3), (np.inf, 1)])
+@pytest.mark.parametrize(("varies", "legs"), [(0.0, 1), (0.6, 1), (0.7, 3)])
 def test_nor_have_cells_whose_chromatin_is_as_bright_as_it(monkeypatch, varies, legs):
     assert followed(monkeypatch, 80.0, 120.0, 140.0, 141.0, varies=varies) == legs
 
@@ -161,7 +163,9 @@ def test_nor_at_once(monkeypatch, mesh, varies, stands):
     )
     terms = SimpleNamespace(settings=SimpleNamespace(collisions=False))
     shows = SimpleNamespace(structure="both")
-    rival = SimpleNamespace(fitted=fitted, structure=lambda: shows, insides_vary=lambda: varies)
+    rival = SimpleNamespace(
+        fitted=fitted, structure=lambda: shows, insides_vary=lambda: (varies, 2.0)
+    )
     for name, value in (
         ("begun", rival),
         ("gone_on", (rival, 3)),
@@ -408,3 +412,30 @@ def test_membranes_may_shine_as_well_only_where_none_do(monkeypatch, structure, 
     choice = ModelChoice(FitSettings(structure="both"), 1)
     found = choice.asked_anew(None, None, fitted, None, Progress(), None)
     assert found == (fitted, 3, Progress(again=True, unsure=unsure))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 4])
+def test_noise_in_even_insides_is_no_chromatin(seed):
+    """Three photons: brightness deep inside varies by up to 0.7 of the membrane's peak, or not.
+
+    A start that is a quarter too large, from which insides alone would end 1.2 voxels too far out.
+    """
+    voxel, shape = (0.2, 0.1, 0.1), (23, 46, 46)
+    grid = nd.Grid(shape, voxel)
+    middle = (np.array(shape) - 1) * np.array(voxel) / 2
+    optics = nd.GaussianPSF((0.13, 0.065, 0.065))
+    true = sphere(middle, 1.3, edge_length=0.19)
+    peak = np.sqrt(2 * np.pi) * np.prod(optics.sigma_um) ** (1 / 3)
+    given = true, grid, optics, 1e-3, 1.0, 0.0
+    both, rim = (
+        nd.scene.expected_image(*given, light=Light(1.0, inside)) for inside in (0.8 / peak, 0.0)
+    )
+    light = np.maximum(3 * both / rim.max() + 20, 0)
+    image = np.random.default_rng(seed).poisson(light)
+    begin = sphere(middle, 1.25 * 1.3, edge_length=0.26)
+    settings = FitSettings(structure="auto", levels=(1.0,))
+    *_, last = nd.fit(image.astype(np.float32), grid, begin, optics, settings=settings)
+    away = distance_to_surface(true.vertices_numpy(), last.mesh)
+    assert last.light.membrane > 0
+    assert np.sqrt(np.mean(np.asarray(away) ** 2)) < 0.5 * 0.1

@@ -276,7 +276,13 @@ def test_a_psf_narrower_than_voxels_tell_is_not_kept():
 
 
 def after_steps(
-    monkeypatch, confocal, widefield, spherical=0.0, widefield_at_first=0.99, wavelength=0.6
+    monkeypatch,
+    confocal,
+    widefield,
+    spherical=0.0,
+    widefield_at_first=0.99,
+    wavelength=0.6,
+    grid=GRID,
 ):
     """What is found where the confocal PSF leaves 0.95 at first, and so much after the steps."""
 
@@ -301,8 +307,18 @@ def after_steps(
 
     monkeypatch.setattr(f"{module}.stepped", stepped)
     fitted = SimpleNamespace(optics=GAUSSIAN, first_optics=GAUSSIAN)
-    terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
+    terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=grid))
     return (terms, fitted), objective_instead(terms, fitted, None)
+
+
+@pytest.mark.parametrize(("pixel", "followed"), [(0.14, True), (0.16, False)])
+def test_an_objective_that_begins_narrower_than_voxels_tell_is_not_followed(
+    monkeypatch, pixel, followed
+):
+    """A Gaussian of 0.69 voxel can be told, a confocal PSF beside it cannot."""
+    grid = nd.Grid(SHAPE, (0.2, pixel, pixel))
+    _, (found, taken) = after_steps(monkeypatch, 0.8, 1.1, grid=grid)
+    assert (taken > 0, found is not None) == (followed, followed)
 
 
 def test_an_objective_that_has_become_narrower_than_voxels_tell_is_not_followed(monkeypatch):

@@ -165,14 +165,14 @@ def test_what_one_leaves_over_another_is_a_mean_over_the_voxels_of_each():
 def fit_of_both(evened, measured, interior=1.0, leaves=0.9, membrane=1.0, vary=np.inf):
     """It explains so many nats more than insides alone, and leaves so much of what they do.
 
-    vary : how much brightness deep inside varies, of the peak of a membrane's image.
+    vary : how much brightness deep inside varies at most, of the peak of a membrane's image.
     """
     # The peak of the image of a membrane of 1, through a PSF of this width, is 1.
     optics = SimpleNamespace(sigma_um=(1 / np.sqrt(2 * np.pi),) * 3)
     return SimpleNamespace(
         **vars(answer({True: evened, False: measured})),
         leaves_over=lambda other: leaves,
-        insides_vary=lambda: vary,
+        insides_vary=lambda: (0.0, vary),
         now=SimpleNamespace(light=SimpleNamespace(membrane=membrane, interior=interior)),
         fitted=SimpleNamespace(optics=optics),
     )

@@ -296,7 +296,7 @@ def test_a_membrane_that_is_drowned_or_follows_chromatin_is_not_believed(
         structure=lambda: structure_choice.Chosen("both", False, outshone=True),
         dark_insides_denied=lambda: False,
         unevenness=lambda: 1.0,
-        insides_vary=lambda: np.inf,
+        insides_vary=lambda: (0.0, np.inf),
         fitted=begun,
         now=SimpleNamespace(light=Light(1.0, over * peak)),
     )
@@ -315,7 +315,7 @@ def test_membranes_are_denied_where_insides_alone_explain_more_once_they_are_eve
         now=SimpleNamespace(light=Light(1.0, 0.1)),
         fitted=SimpleNamespace(optics=OPTICS),
         leaves_over=lambda alone: 0.99,
-        insides_vary=lambda: np.inf,
+        insides_vary=lambda: (0.0, np.inf),
         terms=SimpleNamespace(settings=FitSettings()),
     )
     assert rival_structures.stand(both, both, [0 * gain, gain])

@@ -1,6 +1,6 @@
-"""Gaussian filter of a stack, as products of matrices: seven times as fast as SciPy's.
+"""Gaussian filter of a stack, as products of matrices: four to seven times as fast as SciPy's.
 
-Measured on 60 x 256 x 256 voxels, in one thread, for widths of 0.6 to 6 voxels.
+Measured on 60 x 256 x 256 voxels, in one thread, for widths of 0.6 to 6 voxels, three of them far.
 """
 
 from __future__ import annotations
@@ -26,16 +26,17 @@ def blurred(
     Parameters
     ----------
     values
-        (Z, Y, X).
+        (Z, Y, X), finite.
     widths
-        Standard deviation along each axis, voxels.
+        Standard deviation along each axis, voxels; 0 leaves an axis as it is.
     cut_off
         Standard deviations at which the Gaussian is truncated.
     """
     image = torch.from_numpy(np.ascontiguousarray(values, np.float32))
     with one_thread(), torch.no_grad():
         for axis, width in enumerate(widths):
-            image = _along(image, axis, width, int(cut_off * width + 0.5))
+            if width > 0:
+                image = _along(image, axis, width, int(cut_off * width + 0.5))
     found: NDArray[np.float32] = image.numpy()
     return found
 

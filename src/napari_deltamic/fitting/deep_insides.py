@@ -154,11 +154,17 @@ def dark_insides_shown(
     }
 
 
-def variation(cells: Cells, image: np.ndarray, background: float, counted: np.ndarray) -> float:
-    """By how much of itself brightness varies deep inside of cells, at most; inf if they are small.
+UNKNOWN = 0.0, np.inf  # what is said of a variation of which an image tells nothing
+
+
+def variation(
+    cells: Cells, image: np.ndarray, background: float, counted: np.ndarray
+) -> tuple[float, float]:
+    """By how much of itself brightness varies deep inside of cells: at least, and at most.
 
     Of means over places as large as the PSF, around the mean of each cell. What noise makes of it
-    is taken off, and two standard errors are added.
+    is taken off, and two standard errors are taken off or added. Of cells that are too small, or no
+    brighter than the background: ``UNKNOWN``.
 
     Parameters
     ----------
@@ -179,7 +185,7 @@ def variation(cells: Cells, image: np.ndarray, background: float, counted: np.nd
     places[places <= 1] = 0  # nothing is left without their mean
     free = float((places[places > 0] - 1).sum())
     if free < RULES.places:
-        return np.inf
+        return UNKNOWN
     deep[deep] = (places > 0)[cell]
     cell = cell[(places > 0)[cell]]
     number = np.maximum(np.bincount(cell, minlength=len(names)), 1)
@@ -191,13 +197,14 @@ def variation(cells: Cells, image: np.ndarray, background: float, counted: np.nd
     squares = np.bincount(cell, away**2, len(names)) / number
     level, varied = float(found.mean()), float((squares * places).sum()) / free
     if level <= 0:
-        return np.inf
+        return UNKNOWN
     noise, told = _noise(image, counted)
     told = told[deep]
     by_noise = float(np.mean((noise[deep] ** 2 / share)[told])) / independent if told.any() else 0.0
     unsure = 2 * np.sqrt(2 / free)  # of a variance of so many independent numbers
-    most = max(varied - by_noise, 0.0) + unsure * max(varied, by_noise)
-    return float(np.sqrt(most) / level)
+    left, error = max(varied - by_noise, 0.0), unsure * max(varied, by_noise)
+    least, most = np.sqrt([max(left - error, 0.0), left + error]) / level
+    return float(least), float(most)
 
 
 def _noise(image: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from .amplitudes import inside_over_membrane
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining, vertex_normals
 from .deep_insides import RULES as DEEP
-from .deep_insides import Cells, cells_in_their_box, dark_insides_shown, variation
+from .deep_insides import UNKNOWN, Cells, cells_in_their_box, dark_insides_shown, variation
 from .density import RULES as DENSITY
 from .density import Density
 from .descent import Descent
@@ -129,7 +129,7 @@ class Objective:
         self._descent.begin(self.posed.posterior, self.posed.at)
         self._passed = deque([self.posed.at.vertices], maxlen=terms.schedule.window + 1)
         self.fitted = self.fitted.shining(self.now.light)
-        self._varies: tuple[Evaluation, float] | None = None
+        self._varies: tuple[Evaluation, tuple[float, float]] | None = None
 
     def _metric(self, factored: Preconditioners) -> Metric:
         level = self.terms.level
@@ -256,24 +256,25 @@ class Objective:
         shares = list(dark_insides_shown(cells, *images).values())
         return bool(shares) and median(shares) < DEEP.shown
 
-    def insides_vary(self) -> float:
-        """By how much brightness deep inside varies, at most, of the peak of a membrane's image.
+    def insides_vary(self) -> tuple[float, float]:
+        """By how much brightness deep inside varies, of the peak of a membrane's image.
 
-        inf where that is not known: few voxels are deep enough, or some were cut.
+        At least, and at most; where few voxels are deep enough, or some were cut: ``UNKNOWN``.
         """
         if self._varies is None or self._varies[0] is not self.now:
             self._varies = self.now, self._variation()
         return self._varies[1]
 
-    def _variation(self) -> float:
+    def _variation(self) -> tuple[float, float]:
         level, fitted = self.terms.level, self.fitted
         if self.posed.whole.full is not None:
-            return np.inf
+            return UNKNOWN
         cells, box = cells_in_their_box(fitted.mesh, fitted.optics, level.grid)
         seen = self._seen()[box].detach().cpu().numpy()
         counted = level.counted[box].cpu().numpy()
-        varies = variation(cells, seen, self.now.match.background, counted)
-        return varies * inside_over_membrane(self.now.light, fitted.optics.sigma_um)
+        least, most = variation(cells, seen, self.now.match.background, counted)
+        over = inside_over_membrane(self.now.light, fitted.optics.sigma_um)
+        return least * over, most * over
 
     def _seen_and_shown(self) -> tuple[np.ndarray, np.ndarray]:
         """(Z, Y, X) images: measured, without what effects add, and as the descent has it."""

@@ -109,8 +109,9 @@ def objective_instead(
     other PSF.
 
     Nor is one followed that begins so narrow, as a confocal one does beside a Gaussian of less than
-    0.73 voxel, or what explains less than that. One that has become so narrow after its steps is
-    dropped, and with it one that explains less.
+    0.73 voxel across or 0.79 along Z, or what explains less than that. (One beside a Gaussian of
+    more than 2 um is always too narrow: light has no such wavelength.) One that has become so
+    narrow after its steps is dropped, and with it one that explains less.
 
     Returns that PSF as it was before the steps, and of what they found its spherical aberration
     (see :class:`LightConeRules`); None if the Gaussian is held or explains as much. Also the

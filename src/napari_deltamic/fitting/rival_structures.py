@@ -282,7 +282,7 @@ def are_even(both: Objective) -> bool:
     """Whether insides vary too little to look like the membrane beside them."""
     if both.now.light.membrane <= 0 or insides_over(both) > RULES.drowned:
         return False
-    return both.insides_vary() < RULES.even
+    return both.insides_vary()[1] < RULES.even
 
 
 def is_uneven(both: Objective) -> bool:
