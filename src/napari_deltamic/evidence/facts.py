@@ -124,6 +124,8 @@ class Facts:
         Whether membranes may shine as well, with surfaces further in.
     alone
         Whether insides alone may explain as much as both, with surfaces further out.
+    nuclei
+        Whether dim middles were taken for dark nuclei.
     accuracy
         Relative error that the rendered images might have.
     by_hand
@@ -144,5 +146,6 @@ class Facts:
     sharpened: bool = False
     unsure: bool = False
     alone: bool = False
+    nuclei: bool = False
     accuracy: float = 0.0
     by_hand: bool = False

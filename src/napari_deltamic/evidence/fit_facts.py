@@ -76,6 +76,7 @@ def facts_of(
         and is_sharpened(seen - shown, state.optics.sigma_um, size),
         unsure=state.unsure and not state.light.membrane,
         alone=state.unsure and state.light.membrane > 0,
+        nuclei=state.dimmed is not None,
         accuracy=job.settings.fit.image_accuracy,
         by_hand=is_by_hand(state),
     )

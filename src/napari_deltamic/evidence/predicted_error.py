@@ -160,7 +160,8 @@ def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[s
     tried = responses.alternatives(_lacking(posed, responses, state))
     best = max((one.gain for one in tried), default=0.0)
     likely = [one for one in tried if one.gain >= max(REFITS.sure, RULES.as_good * best)]
-    membranes = fainter_membranes(posed, responses, state)
+    # Around dark nuclei, fits of both have been held against insides alone.
+    membranes = None if state.dimmed is not None else fainter_membranes(posed, responses, state)
     if membranes is not None:
         likely.append(membranes)
     if not likely:

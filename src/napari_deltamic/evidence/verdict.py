@@ -257,6 +257,9 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
         text = "insides alone may explain as much, with surfaces further out"
         text += ", as cytoplasm around dark nuclei would"
         found.append(("fair", f"{text} (try --structure interior)"))
+    if facts.nuclei:
+        text = "a dim middle was taken for a dark nucleus: a thick membrane would lie further in"
+        found.append(("fair", f"{text} (try --structure membrane)"))
     if facts.accuracy > RULES.accuracy:
         text = f"images are rendered with an error of {facts.accuracy:.0%}, too coarse to judge by"
         found.append(("fair", f"{text} (--accuracy)"))

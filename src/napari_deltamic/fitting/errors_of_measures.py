@@ -57,4 +57,4 @@ def posed_at(
     optics = state.optics.detach()
     imaging = Imaging(optics, state.effects, optics, settings.fit_psf, True, level.range)
     posed = (level, None), shape, density, imaging, False, True, ()
-    return pose(*posed, structure_of(state.light), state.light)
+    return pose(*posed, structure_of(state.light), state.light, state.dimmed)

@@ -119,6 +119,7 @@ class Objective:
             held,
             fitted.structure,
             fitted.light,
+            fitted.dimmed,
         )
         self.fitted = fitted.moved(self.posed.at, self._imaging, terms.density_fitted)
         guard.watch(fitted.mesh)

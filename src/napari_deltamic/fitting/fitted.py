@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ..common.choices import DensityModel, Structure, StructureChoice
 from ..errors import InputError
@@ -41,6 +42,8 @@ class Fitted:
         What may shine.
     light
         What does.
+    dimmed
+        (Z, Y, X) what insides show with dark nuclei over what they would without; None: none known.
     learnt
         What the optimiser knows, as long as its unknowns are the same.
     """
@@ -52,6 +55,7 @@ class Fitted:
     first_effects: Effects
     structure: Structure = "membrane"
     light: Light = MEMBRANES
+    dimmed: NDArray[np.float32] | None = None
     learnt: Learnt | None = None
 
     @classmethod
@@ -72,7 +76,8 @@ class Fitted:
         """Something else may shine: what was learnt is of another model."""
         light = INSIDES if structure == "interior" else MEMBRANES
         light = replace(light, cells=self.light.cells)
-        return replace(self, structure=structure, light=light, learnt=None)
+        dimmed = self.dimmed if structure == "interior" else None
+        return replace(self, structure=structure, light=light, dimmed=dimmed, learnt=None)
 
     def seen_through(self, optics: Optics) -> Fitted:
         """Through another kind of PSF: what was learnt is of other unknowns."""
@@ -104,6 +109,10 @@ class Fitted:
     def with_density(self, model: DensityModel) -> Fitted:
         """With the same densities of another kind."""
         return replace(self, shape=self.shape.with_model(model), learnt=None)
+
+    def with_nuclei(self, dimmed: NDArray[np.float32]) -> Fitted:
+        """With nuclei that dim insides: (Z, Y, X), see the attribute."""
+        return replace(self, dimmed=dimmed)
 
     def shining(self, light: Light) -> Fitted:
         """With the light that is found there."""
@@ -143,6 +152,7 @@ class Fitted:
             "first_optics": self.first_optics.parameters().detach().numpy(),
             "light": np.array([self.light.membrane, self.light.interior]),
             "insides": np.array(self.light.cells, np.float64).reshape(-1, 2),
+            **({} if self.dimmed is None else {"dimmed": self.dimmed}),
             **({} if self.learnt is None else self.learnt.saved()),
         }
 
@@ -185,7 +195,8 @@ class Fitted:
         if "first_optics" in found:  # earlier versions kept none
             optics = optics.with_parameters(torch.from_numpy(found["first_optics"]))
         around = replace(restored, effects=effects, first_optics=optics, first_effects=first)
-        return replace(around, shape=shape, light=light, learnt=Learnt.loaded(found))
+        around = replace(around, shape=shape, light=light, dimmed=found.get("dimmed"))
+        return around.taught(Learnt.loaded(found))
 
 
 def other_settings() -> InputError:

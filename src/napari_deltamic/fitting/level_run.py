@@ -22,6 +22,7 @@ from .state_of import state_of
 
 _UNDONE = "a coarse level was undone: a cell had drifted away from its start"
 _FURTHER_IN = "membranes shine as well: the fit goes on with surfaces further in"
+_NUCLEI = "insides shine around dark nuclei: the fit goes on with surfaces further out"
 _MEMBRANES = "membranes explain the image better than insides: the fit goes on with them"
 
 
@@ -256,7 +257,7 @@ class LevelRun:
         at = self.at
         given = at.fitted, at.settings, self._level.factor, at.stage.iteration
         changed = self._go_on_with(upkeep.tried(*given))
-        self.due = changed or (self.due and not judging)
+        self.due = changed or (self.due and not judging) or self._around_nuclei()
         return not self.due
 
     def _looked(self) -> Progress:
@@ -281,6 +282,20 @@ class LevelRun:
             self._go_on_elsewhere(at.fitted.mesh)
         return True
 
+    def _around_nuclei(self) -> bool:
+        """Whether, where the fit would end, it goes on with insides around dark nuclei."""
+        at = self.at
+        fitted, taken, after = at.choice.around_nuclei(
+            self.terms, self.objective, at.fitted, at.stage.progress
+        )
+        self.at = at.holding(fitted).spent(taken).progressed(after)
+        if fitted is at.fitted:
+            return False
+        self._context.reporter.say(_NUCLEI)
+        self._context.upkeep.restart()
+        self._other_mesh()
+        return True
+
     def look_back(self) -> None:
         """Where a fit of both ends, once it has been at rest: whether insides alone may do.
 
@@ -294,16 +309,19 @@ class LevelRun:
 
     def _go_on_elsewhere(self, before: Mesh) -> None:
         """The surface was taken up again further in, or where the fit began."""
-        reporter, upkeep = self._context.reporter, self._context.upkeep
         alone = self.at.fitted.structure == "membrane"  # insides beside them are asked for yet
         unsure = self.at.stage.progress.unsure
         self.at = self.at.progressed(Progress(again=not alone, unsure=unsure))
-        upkeep.restart()
-        reporter.say(_MEMBRANES if alone else _FURTHER_IN)
+        self._context.upkeep.restart()
+        self._context.reporter.say(_MEMBRANES if alone else _FURTHER_IN)
+        if not np.array_equal(self.at.fitted.mesh.faces, before.faces):
+            self._other_mesh()
+
+    def _other_mesh(self) -> None:
+        """Go on with triangles that are none of those before."""
         now = self.at.fitted.mesh
-        if not np.array_equal(now.faces, before.faces):
-            upkeep.begin_level(now, 0.0)
-            reporter.other_mesh(now)
+        self._context.upkeep.begin_level(now, 0.0)
+        self._context.reporter.other_mesh(now)
 
     def _go_on_with(self, fitted: Fitted) -> bool:
         """Go on with what a change of topology made; whether it is another surface."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ..common.choices import Structure
@@ -45,6 +46,7 @@ class Look:
     imaging: Imaging
     structure: Structure
     mesh: Mesh
+    dimmed: NDArray[np.float32] | None = None
 
     def rendered(
         self,
@@ -170,16 +172,19 @@ class Look:
         noise = as_floats(differences(torch.from_numpy(insides - shown)))
         counted = level.counted.cpu().numpy()
         flat = all_flat(self.mesh, self.imaging.start)
+        shown = shown if self.dimmed is None else self.dimmed * shown
         uneven = unevenness(insides, shown, share, noise, widths, counted, flat)
-        if uneven is None:
+        if uneven is None and self.dimmed is None:
             return voxels
+        even = np.ones(level.grid.shape) if uneven is None else uneven.gain
+        told = even if self.dimmed is None else self.dimmed * even
         index = voxels.index.cpu().numpy()
-        gain, own = (torch.from_numpy(i.reshape(-1)[index]) for i in (uneven.gain, insides))
+        gain, own = (torch.from_numpy(i.reshape(-1)[index]) for i in (told, insides))
         gain, own = gain.to(voxels.weights), own.to(voxels.weights)
         evened = voxels.measured + own * (1 / gain - 1)
         weights = voxels.weights * gain**2
         # Beside a membrane that is off, dim insides look uneven; of cut ones, that is a guess.
-        if seen > EVENING.trusted and voxels.full is None:
+        if uneven is not None and seen > EVENING.trusted and voxels.full is None:
             bright, left = (i.reshape(-1)[index] for i in (shown, noise))
             trusted = uneven.weights(as_floats(weights), bright, left / as_floats(gain))
             weights = torch.from_numpy(trusted).to(weights)

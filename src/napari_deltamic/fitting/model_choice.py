@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from ..runs.settings import FitSettings
 from .amplitudes import RULES, all_small, inside_over_membrane, may_shine
 from .collisions import CollisionGuard
+from .dark_nuclei import around_nuclei
 from .density import RULES as DENSITY
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
@@ -126,6 +127,20 @@ class ModelChoice:
             found, taken = self._at_rest(terms, objective, fitted, factored)
             return found, taken, replace(progress, answered=True)
         return fitted, 0, progress
+
+    def around_nuclei(
+        self, terms: Terms, objective: Objective, fitted: Fitted, progress: Progress
+    ) -> tuple[Fitted, int, Progress]:
+        """A fit of both that is about to end, or that of insides around dark nuclei instead.
+
+        And the evaluations that it took to ask, and where that leaves the fit.
+        """
+        if not self.is_open(fitted) or not progress.answered or progress.nuclei:
+            return fitted, 0, progress
+        found, unsure, taken = around_nuclei(terms, objective)
+        if found is None:
+            return fitted, taken, replace(progress, nuclei=True, unsure=unsure)
+        return found, taken, Progress(answered=True, again=True, nuclei=True)
 
     @staticmethod
     def _at_rest(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ..common.choices import Structure
 from ..geometry.bending import BendingEnergy
@@ -49,6 +50,7 @@ def pose(
     held: Sequence[View] = (),
     structure: Structure = "membrane",
     shone: Light = MEMBRANES,
+    dimmed: NDArray[np.float32] | None = None,
 ) -> Posed:
     """The objective at a level, from where the surface is now.
 
@@ -72,6 +74,8 @@ def pose(
     shone
         What shone before: insides are as bright as they were. Where it says nothing of them, they
         begin with what the image says.
+    dimmed
+        (Z, Y, X) by dark nuclei, see :class:`~.fitted.Fitted`.
     """
     level, second = levels
     known = shape.log_density
@@ -82,7 +86,7 @@ def pose(
     at = Variables(shape.mesh.vertices_numpy(), log, cells, *imaging.numbers())
     given = shape.mesh, imaging.optics, imaging.effects
     renderer = level.renderer(*given, insides=structure != "membrane")
-    look = Look(level, renderer, density, insides, imaging, structure, shape.mesh)
+    look = Look(level, renderer, density, insides, imaging, structure, shape.mesh, dimmed)
     voxels, light = look.voxels(at)
     widths = level.factor * np.asarray(imaging.optics.sigma_um)
     shining = inside_over_membrane(light, widths)

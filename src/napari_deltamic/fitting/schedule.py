@@ -131,6 +131,8 @@ class Progress:
     unsure
         Whether what else might shine explained as much, or nearly so: membranes when they were
         asked for again; of a fit of both, insides alone where it ended.
+    nuclei
+        Whether insides around dark nuclei were tried, for the only time.
     """
 
     iterations: int = 0
@@ -146,6 +148,7 @@ class Progress:
     answered: bool = False
     again: bool = False
     unsure: bool = False
+    nuclei: bool = False
 
     def posed(
         self,

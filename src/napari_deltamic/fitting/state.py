@@ -56,6 +56,9 @@ class FitState:
     unsure
         Whether membranes may shine in addition to the insides, with surfaces further in; of both,
         whether insides alone may, with surfaces further out.
+    dimmed
+        (Z, Y, X) float32: what insides show with dark nuclei over what they would without; None
+        where none were found.
     """
 
     iteration: int
@@ -77,12 +80,17 @@ class FitState:
     evaluations: int = 0
     cone: bool = False
     unsure: bool = False
+    dimmed: np.ndarray | None = None
     _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
     _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
 
     def rendered(self) -> np.ndarray:
         """(Z, Y, X) float32: what the microscope would show of this state; computed when asked."""
-        return self._render()
+        even = self._render()
+        if self.dimmed is None:
+            return even
+        dark = np.float32(self.background)
+        return dark + self.dimmed * (even - dark)
 
     def save(self, path: str | Path) -> None:
         """Write a checkpoint that ``fit(..., resume=path)`` goes on from."""

@@ -61,6 +61,7 @@ def state_of(
         pinned=fitted.shape.pinned if fitted.shape.pinned.any() else None,
         evaluations=stage.evaluations,
         unsure=stage.progress.unsure and fitted.structure != "membrane",
+        dimmed=fitted.dimmed,
         _render=rendered,
         _checkpoint=lambda: kept,
     )

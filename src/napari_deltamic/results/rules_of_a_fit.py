@@ -25,6 +25,7 @@ from ..evidence.evidence_rules import CAMERA, RESIDUAL, SPECTRUM
 from ..fitting import (
     amplitudes,
     bright_regions,
+    dark_nuclei,
     deep_insides,
     density,
     evening,
@@ -74,6 +75,7 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "density": asdict(density.RULES),
     "structure": asdict(structure_choice.RULES),
     "unequal insides": asdict(unequal_insides.RULES),
+    "dark nuclei": asdict(dark_nuclei.RULES),
     "deep insides": asdict(deep_insides.RULES),
     "uneven insides": asdict(evening.RULES),
     "rivals": asdict(rival_structures.RULES),

@@ -63,6 +63,7 @@ class StateFacts:
     effects: Any = None
     light: Plain = field(default_factory=dict)
     pinned: bool = False
+    dimmed: bool = False
     cone: bool = False
     unsure: bool = False
 

@@ -43,6 +43,8 @@ def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult
     archive.add_array("state/density", state.density)
     if state.pinned is not None:
         archive.add_array("state/pinned", np.asarray(state.pinned, bool))
+    if state.dimmed is not None:
+        archive.add_array("state/dimmed", state.dimmed)
     if result.counted is not None:
         archive.add_array("counted", result.counted)
     for name in ("loss", "blur"):
@@ -60,6 +62,7 @@ def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult
             effects=state.effects.to_dict(),
             light=asdict(state.light),
             pinned=state.pinned is not None,
+            dimmed=state.dimmed is not None,
         ),
         first=history.first,
         seconds=result.seconds,
@@ -105,11 +108,14 @@ def saved_result(archive: ArchiveReader, facts: ResultFacts, grid: Grid) -> Save
         effects=Effects(**effects),
         light=light if inside is None else inside.added_to(light),
         pinned=archive.array("state/pinned") if shown.pinned else None,
+        dimmed=archive.array("state/dimmed") if shown.dimmed else None,
     )
     if len(state.density) != len(state.mesh.faces):
         raise InputError("its densities belong to another mesh")
     if state.pinned is not None and state.pinned.shape != (len(state.mesh.vertices),):
         raise InputError("its pins belong to another mesh")
+    if state.dimmed is not None and state.dimmed.shape != grid.shape:
+        raise InputError("its nuclei belong to another image")
     return SavedResult(
         settings=settings,
         state=_with_images(state, grid, settings),

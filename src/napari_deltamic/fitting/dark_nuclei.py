@@ -1,0 +1,237 @@
+"""Cytoplasm around dark nuclei, which a fit of both has taken for membranes around dim insides.
+
+A bright layer a few widths of the PSF thick looks like a membrane seen through a wider PSF, and a
+fit of both ends in the middle of it. What is left does not tell them apart: grain in the cytoplasm
+is explained by a membrane of uneven brightness. How thick the layer is does. So where a fit of both
+ends, insides with a second surface within, that of a nucleus, are followed from both sides of its
+surface. Around a membrane, the two come together; around a nucleus, they stay apart.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from skimage.segmentation import find_boundaries
+
+from ..errors import RepairWarning
+from ..geometry.labels.meshes import mesh_from_labels
+from ..geometry.labels.voxels import voxel_labels
+from ..geometry.mesh import FloatArray, Mesh
+from ..scene import Grid
+from ..scene.light import INSIDES, Light
+from .fit_objective import Objective, Terms
+from .fitted import Fitted
+from .level import Level
+from .preconditioner import Preconditioners
+from .prediction import as_floats
+from .rival_structures import RULES as RIVALS
+from .rival_structures import begun, enough, gains_over, gone_on
+from .shape import Shape
+
+_FAINT = (
+    1e-3  # of the brightest, below which nothing is dimmed; chosen: about the rendering's error
+)
+
+
+@dataclass(frozen=True)
+class DarkNucleiRules:
+    """When a layer is cytoplasm.
+
+    Attributes
+    ----------
+    apart
+        Widths of the PSF that two borders are apart, where they are seen as two: by definition the
+        full width of a Gaussian at half of its maximum. Their surfaces begin as far apart.
+    fewest
+        Voxels of a nucleus, below which a cell has none; chosen: 3 x 3 x 3.
+    legs, growing
+        How often, at most, insides around nuclei are followed as far again, and the share by which
+        what they explain must grow each time.
+    most
+        Share of a cell that its nucleus may be, of all cells together; chosen: few are larger, and
+        thick membranes of large cells hold less of them than that.
+    thinner
+        Share by which the layer must get thinner each time, while it does: where that ends, it is
+        as thick as it is. Measured around membranes: 0.12 and more each time, down to one width.
+    lost
+        Errors of sums over blocks by which they explain less, at which they are given up.
+    darkest
+        Of the cytoplasm, the least that is left of it anywhere: chosen, as what is measured there
+        is divided by it.
+    """
+
+    apart: float = 2.355
+    fewest: int = 27
+    legs: int = 10
+    growing: float = 0.05
+    most: float = 0.5
+    thinner: float = 0.05
+    lost: float = 4.5
+    darkest: float = 0.1
+
+
+RULES = DarkNucleiRules()
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Cells with a nucleus each, but for small ones; a nucleus is a region of its own.
+
+    Attributes
+    ----------
+    mesh
+        Of both.
+    nuclei
+        The region of each cell's nucleus.
+    """
+
+    mesh: Mesh
+    nuclei: Mapping[int, int]
+
+    def thickness(self, mesh: Mesh) -> float:
+        """um, in the mean: volume of cytoplasm around nuclei over the area of its middle."""
+        volumes, areas, regions = mesh.volumes(), mesh.areas(), mesh.regions
+        inner = np.isin(regions, list(self.nuclei.values())).any(axis=1)
+        both = inner | np.isin(regions, list(self.nuclei)).any(axis=1)
+        layer = sum(volumes[cell] for cell in self.nuclei)
+        return 2 * layer / max(float(areas[both].sum()), 1e-300)
+
+    def share(self, mesh: Mesh) -> float:
+        """Of cells that have a nucleus, the share of their volume that it is."""
+        volumes = mesh.volumes()
+        held, around = (
+            sum(volumes[k] for k in regions) for regions in (self.nuclei.values(), self.nuclei)
+        )
+        return held / max(held + around, 1e-300)
+
+    def outer(self, mesh: Mesh) -> Mesh:
+        """The cells alone, with what their nuclei hold."""
+        regions = self._cells_of(mesh.regions)
+        kept = regions[:, 0] != regions[:, 1]
+        used, faces = np.unique(np.asarray(mesh.faces)[kept], return_inverse=True)
+        return Mesh(mesh.vertices_numpy()[used], faces.reshape(-1, 3), regions[kept])
+
+    def filled(self, light: Light) -> Light:
+        """With nuclei as bright as the cytoplasm around them."""
+        known = dict(light.cells)
+        cells = {k: known.get(int(self._cells_of(np.array(k))), 1.0) for k in known}
+        return replace(light, cells=tuple(cells.items()))
+
+    def without_nuclei(self, light: Light) -> Light:
+        """The light of the cells alone."""
+        nuclei = set(self.nuclei.values())
+        cells = tuple(cell for cell in light.cells if cell[0] not in nuclei)
+        return replace(light, cells=cells if len(cells) > 1 else ())
+
+    def _cells_of(self, regions: NDArray[np.signedinteger]) -> NDArray[np.signedinteger]:
+        found = regions.copy()
+        for cell, nucleus in self.nuclei.items():
+            found[regions == nucleus] = cell
+        return found
+
+
+def around_nuclei(terms: Terms, objective: Objective) -> tuple[Fitted | None, bool, int]:
+    """The fit of insides around dark nuclei, if a fit of both is one; and evaluations.
+
+    Also, if it is none, whether it may be one: there is a layer, which both explain better.
+    """
+    fitted = objective.fitted
+    asked = terms.second is None and terms.settings.density != "uniform"
+    if not asked or objective.now.light.interior <= 0 or fitted.shape.pinned.any():
+        return None, False, 0
+    width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
+    cells = _with_nuclei(fitted.mesh, terms.level.grid, RULES.apart / 2 * width)
+    if cells is None:
+        return None, False, 0
+    both = objective.anew()
+    rival, may, taken = _followed(terms, both, cells)
+    taken += both.evaluations()
+    if not may:
+        return None, False, taken
+    gains = gains_over(rival, both)
+    if any(enough([-gain], RIVALS.errors) for gain in gains):
+        return None, True, taken
+    return _alone(terms.level, rival, cells), False, taken
+
+
+def _followed(terms: Terms, both: Objective, cells: _Cells) -> tuple[Objective, bool, int]:
+    """Insides around nuclei, followed while they gain on both; whether the layer stays thick."""
+    fitted, mesh = both.fitted, cells.mesh
+    begin = fitted.retriangulated(Shape.begun(mesh, fitted.shape.model)).shining(INSIDES)
+    begin = begin.displaced(mesh.vertices_numpy(), fitted.first_optics).with_structure("interior")
+    rival, taken = gone_on(begun(terms, begin, Preconditioners()))
+    thick, least = np.inf, -np.inf
+    for _ in range(RULES.legs):
+        before, thick = thick, _thickness(rival, cells)
+        gains = gains_over(rival, both)
+        lost = all(enough([-gain], RULES.lost) for gain in gains)
+        if thick < RULES.apart or lost:
+            return rival, False, taken
+        reached, least = least, min(float(gain.sum()) for gain in gains)
+        sure = all(enough([gain], RIVALS.errors) for gain in gains)
+        grows = least - reached > RULES.growing * abs(least) and not sure
+        if before - thick < RULES.thinner * thick and not grows:
+            break
+        rival, more = gone_on(rival)
+        taken += more
+    layer = _thickness(rival, cells) > RULES.apart
+    return rival, layer and cells.share(rival.fitted.mesh) < RULES.most, taken
+
+
+def _thickness(rival: Objective, cells: _Cells) -> float:
+    """Widths of the PSF that the two borders of the cytoplasm are apart."""
+    width = float(np.prod(rival.fitted.optics.sigma_um) ** (1 / 3))
+    return cells.thickness(rival.fitted.mesh) / width
+
+
+def _with_nuclei(mesh: Mesh, grid: Grid, away: float) -> _Cells | None:
+    """Borders so far out (um), and nuclei so far in; None if no cell is large enough for one."""
+    size = np.asarray(grid.voxel_size)
+    low, high = mesh.bounds() - np.asarray(grid.origin)
+    start = np.floor((low - away) / size).astype(int) - 2
+    shape = tuple((np.ceil((high + away) / size).astype(int) + 3 - start).tolist())
+    origin = tuple((np.asarray(grid.origin) + start * size).tolist())
+    labels = voxel_labels(mesh, shape, grid.voxel_size, origin)
+    depth = distance_transform_edt(~find_boundaries(labels, mode="inner"), sampling=size)
+    outside, nearest = distance_transform_edt(labels == 0, sampling=size, return_indices=True)
+    found = np.where(outside < away, labels[tuple(nearest)], 0)
+    nuclei, names = dict[int, int](), mesh.region_ids().tolist()
+    for cell in names:
+        nucleus = (labels == cell) & (depth > away)
+        if nucleus.sum() >= RULES.fewest:
+            nuclei[cell] = max(names) + 1 + len(nuclei)
+            found[nucleus] = nuclei[cell]
+    if not nuclei:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RepairWarning)
+        both = mesh_from_labels(found, grid.voxel_size, origin)
+    kept = set(both.region_ids().tolist())
+    nuclei = {cell: nucleus for cell, nucleus in nuclei.items() if nucleus in kept}
+    return _Cells(both, nuclei) if nuclei and kept.issuperset(names) else None
+
+
+def _alone(level: Level, rival: Objective, cells: _Cells) -> Fitted:
+    """The fit of cells without their nuclei, which dim what insides show."""
+    fitted, light = rival.fitted, rival.now.light
+    one, even = (_shown(level, fitted, shone) for shone in (light, cells.filled(light)))
+    shines = even > _FAINT * float(even.max())
+    dimmed = np.ones(even.shape, np.float32)
+    dimmed[shines] = np.clip(one[shines] / even[shines], RULES.darkest, 1.0)
+    mesh = cells.outer(fitted.mesh)
+    outer = fitted.retriangulated(Shape.begun(mesh, fitted.shape.model))
+    return outer.shining(cells.without_nuclei(light)).with_nuclei(dimmed)
+
+
+def _shown(level: Level, fitted: Fitted, light: Light) -> FloatArray:
+    """(Z, Y, X) of what is fitted, of amplitude 1."""
+    renderer = level.renderer(fitted.mesh, fitted.optics, fitted.effects, insides=True)
+    with torch.no_grad():
+        spectrum = renderer.transform(light=light)
+        return as_floats(level.rendered(renderer, spectrum, renderer.otf(fitted.optics)))
