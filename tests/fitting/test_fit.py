@@ -3,6 +3,7 @@ import pytest
 import torch
 
 from napari_deltamic import GaussianPSF, Grid, InputError, Mesh, fit, render
+from napari_deltamic.fitting.convergence import Remaining
 from napari_deltamic.fitting.likelihood import match
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
@@ -47,7 +48,16 @@ def test_finds_the_sphere_and_ends_by_itself(states):
 def test_finds_the_sphere_in_noise():
     last = fitted(measured(noise=0))
     assert last.converged
+    assert last.moving is None
     assert apart(last.mesh) < 0.15
+
+
+def test_the_place_that_still_moves_is_that_of_the_verdict(monkeypatch):
+    monkeypatch.setattr(Remaining, "moves", lambda *given: True)
+    last = fitted(measured(noise=0), settings=FitSettings(levels=(1.0,)))
+    z, y, x = last.moving
+    assert f"the surface still moves at ({z:.1f}, {y:.1f}, {x:.1f}) um" in last.message
+    assert (last.mesh.vertices_numpy() == last.moving).all(axis=1).any()
 
 
 def test_anisotropic_voxels_and_an_origin():

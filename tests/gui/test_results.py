@@ -2,6 +2,7 @@
 
 import os
 import shlex
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,10 +15,8 @@ from napari_deltamic.cli import build_parser
 from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.fitting.job import FitInput
-from napari_deltamic.fitting.reporting import verdict
 from napari_deltamic.geometry import files, sphere
 from napari_deltamic.gui.results import more_actions
-from napari_deltamic.gui.running.check_panel import _MOVES
 from napari_deltamic.gui.viewing.colours import BY_VALUE, region_colours
 from napari_deltamic.gui.viewing.frame import OWN, camera_of
 from napari_deltamic.images.stacks import read_image, write_image
@@ -218,7 +217,7 @@ def of_cells(surface):
 def test_a_button_leads_to_where_the_surface_still_moves(widget, with_image):
     check, record = widget.running, widget.doc.record
     assert check.moving.isHidden()
-    record.end("converged", "converged; the surface still moves at (2.9, 1.5, 3.2) um (3 s)\nmore")
+    record.state = replace(record.state, moving=(2.9, 1.5, 3.2))
     widget.doc.ended.emit()
     assert not check.moving.isHidden()
     with_image.dims.ndisplay = 2
@@ -227,18 +226,9 @@ def test_a_button_leads_to_where_the_surface_still_moves(widget, with_image):
     assert with_image.dims.point[0] == pytest.approx(world[0], abs=0.2)
     assert camera_of(with_image).center[-2:] == pytest.approx(world[-2:], abs=0.05)
     assert "still moves" in check.note.text()
-    record.end("converged", "converged (3 s)")
+    record.state = replace(record.state, moving=None)
     widget.doc.ended.emit()
     assert check.moving.isHidden()
-
-
-def test_what_a_fit_says_of_where_it_moves_is_understood():
-    mesh = sphere((2.0, 2.0, 2.0), 1.0, edge_length=0.5)
-    fitted = SimpleNamespace(mesh=mesh, optics=SimpleNamespace(sigma_um=(0.2, 0.1, 0.1)))
-    found = SimpleNamespace(loss=0.2, bounded=None)
-    text, _ = verdict(fitted, found, True, 3, SimpleNamespace(vertex=5), "")
-    place = [float(number) for number in _MOVES.search(text).groups()]
-    assert place == pytest.approx(mesh.vertices_numpy()[5], abs=0.051)
 
 
 def test_columns_have_titles_in_english():

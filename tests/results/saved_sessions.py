@@ -53,6 +53,7 @@ def session(dtype=np.float32):
         blur=1.35,
         converged=True,
         message="converged",
+        moving=(0.25, 1 / 3, 2.0),
         effects=Effects.of(Halo(fraction=1 / 3), "pixel_integration"),
     )
     result = SavedResult(

@@ -48,7 +48,7 @@ def test_what_was_saved_is_what_is_reopened(tmp_path, dtype):
     for name in ("settings", "history", "seconds", "verdict", "message"):
         assert getattr(a, name) == getattr(b, name)
     scalars = ("iteration", "loss", "amplitude", "background", "blur", "converged", "message")
-    for name in (*scalars, "effects"):
+    for name in (*scalars, "effects", "moving"):
         assert getattr(a.state, name) == getattr(b.state, name)
     assert same(a.state.density, b.state.density)
     assert same_mesh(a.state.mesh, b.state.mesh)

@@ -60,6 +60,7 @@ def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
         loss=float("nan"),
         converged=False,
         message=_CHANGED,
+        moving=None,
         _render=rendered,
         _checkpoint=dict,
     )

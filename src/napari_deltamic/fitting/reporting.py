@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ..common.triple import Triple
 from ..geometry.mesh import Mesh
-from .convergence import Remaining
 from .fitted import Fitted
 from .growth_alarm import GrowthAlarm, shrunken, told_shrunken, why_stuck
 from .likelihood import Match
@@ -60,7 +60,7 @@ def verdict(
     found: Match,
     finished: bool,
     iteration: int,
-    moving: Remaining | None,
+    moving: Triple | None,
     so_far: str,
 ) -> tuple[str, bool]:
     """What came of a fit in plain words, and whether it has converged.
@@ -70,7 +70,7 @@ def verdict(
     finished
         Whether it ended by itself.
     moving
-        The place that still moves; None where none does.
+        um: the place that still moves; None where none does.
     so_far
         What else there is to say.
     """
@@ -83,6 +83,6 @@ def verdict(
     further = "" if stuck else told_shrunken(points)
     still = ""
     if finished and not stuck and moving is not None:
-        z, y, x = mesh.vertices_numpy()[moving.vertex]
+        z, y, x = moving
         still = f"the surface still moves at ({z:.1f}, {y:.1f}, {x:.1f}) um"
     return joined(message, so_far, further, still), finished and not stuck

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import replace
 
+from ..common.triple import triple
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
@@ -152,9 +153,11 @@ class Run:
         message, events = reporter.told(at.fitted.mesh, at.stage.iteration, ends)
         if ends:
             left, found = at.stage.remaining, self.objective.now.match
-            moving = left if left.moves(at.tolerance, self._context.schedule.gain) else None
-            given = at.fitted, found, finished, at.stage.iteration, moving, message
+            moves = left.moves(at.tolerance, self._context.schedule.gain)
+            place = triple(at.fitted.mesh.vertices_numpy()[left.vertex]) if moves else None
+            given = at.fitted, found, finished, at.stage.iteration, place, message
             message, finished = verdict(*given)
+            state = replace(state, moving=place if finished else None)
         return replace(state, message=message, events=events, converged=ends and finished)
 
     # ---------------------------------------------------------------- runs that follow another

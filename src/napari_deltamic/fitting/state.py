@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..common.triple import Triple
 from ..common.writing import write_atomically
 from ..errors import InputError
 from ..geometry.archive import opened
@@ -44,6 +45,8 @@ class FitState:
         Whether this is the last state and the criterion was met.
     message
         A verdict or a warning in plain words; mostly empty.
+    moving
+        um: where the surface of a fit that has converged still moves; None where it rests.
     pinned
         (V,) bool: vertices that were told to stay; None where none were.
     events
@@ -75,6 +78,7 @@ class FitState:
     light: Light = MEMBRANES
     converged: bool = False
     message: str = ""
+    moving: Triple | None = None
     pinned: np.ndarray | None = None
     events: tuple[str, ...] = ()
     evaluations: int = 0

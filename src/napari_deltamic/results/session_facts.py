@@ -66,6 +66,7 @@ class StateFacts:
     dimmed: bool = False
     cone: bool = False
     unsure: bool = False
+    moving: Triple | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,7 +32,7 @@ from .timeline import Moment
 # What of a state is a plain value.
 _STATE = (
     *("iteration", "level", "levels", "amplitude", "background"),
-    *("blur", "converged", "message", "cone", "unsure"),
+    *("blur", "converged", "message", "cone", "unsure", "moving"),
 )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -33,9 +32,6 @@ _SCALE = (
     "Measured minus rendered; the colour bar is in standard deviations of the noise. Green is "
     "brighter than rendered, magenta darker."
 )
-_NUMBER = r"(-?[\d.]+)"
-# In a verdict of ``fitting.reporting``; of a session that was saved, nothing but it is known.
-_MOVES = re.compile(rf"still moves at \({_NUMBER}, {_NUMBER}, {_NUMBER}\)")
 _MOST_POINTS = 400  # points drawn
 _OVER_CURVE = 18  # px above the plot
 _CURVE = ("#ffb000", "#a35f00")  # on dark, and on light
@@ -51,7 +47,6 @@ class CheckPanel(QGroupBox):
         self._doc = doc
         self._note_of: Any = None  # the image that the note is about
         self._seen: list[float] | None = None  # where the view was that the note speaks of
-        self._moving: list[float] | None = None  # where the surface still moves, um in the frame
         self._offset = 0  # iterations of the runs before the present one
         self.away, self.away_row = Note(self, "fair"), QWidget(self)
         tip = "Move the slider to the time of the result."
@@ -59,7 +54,7 @@ class CheckPanel(QGroupBox):
         self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
         tip = "Go to where the image differs most from the rendered one."
         self.worst = button("Worst place", tip, self.go_to_worst, self)
-        tip = "Go to the place that the line above names."
+        tip = "Go to where it moves most."
         self.moving = button("Show where the surface still moves", tip, self.go_to_moving, self)
         self.stray = Note(self)
         self.stray_row = QWidget(self)
@@ -121,9 +116,10 @@ class CheckPanel(QGroupBox):
 
     def go_to_moving(self) -> None:
         """Move the view to where the surface still moves, as the verdict says."""
-        place, link = self._moving, self._doc.link
-        if place is not None and link is not None:
-            link.go_to(place)
+        record, link = self._doc.record, self._doc.link
+        state = None if record is None else record.state
+        if state is not None and state.moving is not None and link is not None:
+            link.go_to(state.moving)
             self.tell("In the middle of the view the surface still moves.")
             self._seen = self._middle()
 
@@ -185,6 +181,8 @@ class CheckPanel(QGroupBox):
             words = "", words[1]  # how the fit ended is no praise of what is shown
         self._show_verdict(*words)
         self._show_grade(ended if doc.in_sight else None)
+        state = None if ended is None else ended.state
+        self.moving.setVisible(state is not None and state.moving is not None)
         known = record is not None and (record.state is not None or (doc.running and doc.begun))
         shown = known and doc.in_sight
         for part in (self.curve, self._looks, self.edit, self.history):
@@ -222,9 +220,6 @@ class CheckPanel(QGroupBox):
         """How it ended, in the first line of a text; those after it are remarks, in a list."""
         said, *remarks = text.split("\n")
         self.verdict.say(said, verdict)
-        found = _MOVES.search(said)
-        self._moving = None if found is None else [float(number) for number in found.groups()]
-        self.moving.setVisible(found is not None)
         self.remarks.set_title(counted(len(remarks), "remark"))
         self.remarks.content.say("\n".join(remarks))
         self.remarks.unfold(False)
