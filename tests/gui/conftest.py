@@ -76,6 +76,7 @@ def quick(monkeypatch, request, a_picture):
     """What takes long after each fit, and few tests ask for, is left out."""
     if "judged" not in request.fixturenames:
         monkeypatch.setattr(run_control, "judge", _only_rendered)
+        monkeypatch.setattr(tracking_work, "judged_frame", lambda done, *of_fit: done)
         monkeypatch.setattr(report, "picture_png", lambda *given: a_picture)
     if "thawed" not in request.fixturenames:
         # To count all that is frozen here takes long.

@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,7 @@ from napari_deltamic.gui.tracking import panel, track_work
 from napari_deltamic.gui.viewing.colours import region_colours
 from napari_deltamic.gui.viewing.frame import OWN, camera_of
 from napari_deltamic.results.track_report import read_results
-from napari_deltamic.tracking import track
+from napari_deltamic.tracking import FrameResult, track
 
 from .conftest import CENTER, SIZE, STEP
 
@@ -72,6 +73,50 @@ def test_lengths_of_a_frame_are_in_the_units_of_the_window(widget, monkeypatch):
         patched.setattr(widget.tracking, "layers", shown)
         widget.tracking._show_frame()
     assert widget.tracking.frame.text().endswith(" µm")
+
+
+def test_the_worst_frame_is_told_and_led_to(widget, viewer, spin, monkeypatch):
+    def judged(done, *of_fit):
+        moving = (2.9, 1.5, 3.2) if done.frame == 2 else None
+        grade = "fair" if done.frame in (1, 2) else "good"
+        return replace(done, grade=grade, judgement=f"{grade}, off by 30 nm", moving=moving)
+
+    monkeypatch.setattr(track_work, "judged_frame", judged)
+    shown = widget.tracking
+    shown.start()
+    assert shown.worst_button.isHidden()
+    spin(ended(widget), 60)
+    assert shown.verdict.verdict == "fair"
+    assert "4 frames tracked" in shown.verdict.text()
+    assert shown.verdict.text().endswith("worst at time 2: fair, the surface still moves")
+    assert shown.frame.text().startswith("time 3: 1 cell; good, off by 30 nm")
+    shown.worst_button.click()
+    assert viewer.dims.current_step[0] == 2
+    np.testing.assert_allclose(camera_of(viewer).center, np.add((1, 2, 3), (2.9, 1.5, 3.2)))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("judged")
+def test_each_frame_has_a_grade(widget, spin):
+    widget.tracking.start()
+    spin(ended(widget), 90)
+    assert [r.grade for r in widget.tracking.results] == ["good"] * 4
+    assert widget.tracking.verdict.verdict == "done"
+    assert widget.tracking.worst_button.isHidden()
+
+
+def test_the_frame_of_the_worst_grade_comes_before_one_that_moves():
+    frames = [
+        FrameResult(0, 0.0, None, grade="fair", moving=(0.0, 0.0, 0.0)),
+        FrameResult(1, 1.0, None, grade="poor"),
+        FrameResult(2, 2.0, None, moving=(0.0, 0.0, 0.0)),
+        FrameResult(3, 3.0, None, grade="good"),
+        FrameResult(4, 4.0, None),
+    ]
+    assert panel.worst_of(frames) is frames[1]
+    assert panel.worst_of(frames[2:]) is frames[2]
+    assert panel.worst_of(frames[3:]) is None
+    assert panel.worst_of([]) is None
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from .facts import CellFacts, Facts
 from .predicted_error import PredictedError, ShapeDeviation
 
 Grade = Literal["good", "fair", "poor"]
-_ORDER: tuple[Grade, ...] = ("good", "fair", "poor")
+GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
 
 
 @dataclass(frozen=True)
@@ -193,11 +193,11 @@ def judged(facts: Facts) -> Verdict:
     cells = tuple(_of_cell(cell, usual, facts) for cell in facts.cells)
     grade = _worst(grade for grade, _ in whole)
     reasons = [text for _, text in whole]
-    for word in _ORDER[1:]:
+    for word in GRADES[1:]:
         bad = [cell.region for cell in cells if cell.grade == word]
         if not bad:
             continue
-        if 2 * sum(_ORDER.index(c.grade) >= _ORDER.index(word) for c in cells) >= len(cells):
+        if 2 * sum(GRADES.index(c.grade) >= GRADES.index(word) for c in cells) >= len(cells):
             grade = _worst((grade, word))
         if len(cells) == 1:
             reasons += [text for text in cells[0].reasons if text not in reasons]
@@ -358,7 +358,7 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         found.append((word, f"only {cell.lit:.0%} of its surface is bright: the rest is a guess"))
     if cell.cut:
         found.append(("fair", "the border of the image cuts it: what lies beyond is a guess"))
-    found.sort(key=lambda one: -_ORDER.index(one[0]))  # what weighs most comes first
+    found.sort(key=lambda one: -GRADES.index(one[0]))  # what weighs most comes first
     grade, reasons = _worst(g for g, _ in found), tuple(text for _, text in found)
     error = None if predicted is None else predicted.total
     return CellVerdict(cell.region, grade, reasons, error)
@@ -393,7 +393,7 @@ def _share(explained: float) -> str:
 
 
 def _worst(grades: Iterable[Grade]) -> Grade:
-    return max(grades, key=_ORDER.index, default="good")
+    return max(grades, key=GRADES.index, default="good")
 
 
 def _usual_reason(cells: list[CellVerdict]) -> str:

@@ -14,11 +14,13 @@ from ..evidence.residual import Residual, analyse_residual
 from ..evidence.unseeded_objects import Stray, strays
 from ..evidence.verdict import Verdict, names_cells
 from ..evidence.voxel_variance import Variance, voxel_variance
-from ..fitting import FitState
+from ..fitting import FitState, counted_voxels
 from ..fitting.checks import check_image
 from ..fitting.job import FitInput
+from ..geometry import Mesh
 from ..measure import measure
 from ..measure.of_fit import known_of
+from ..tracking import FrameResult
 
 _LISTED = 6  # cells, at most; of more it is told how many they are
 
@@ -85,6 +87,26 @@ def judge(state: FitState, job: FitInput, spread: Spread) -> Compared:
     alone = strays(everywhere.spots, state.mesh, state.optics)
     both = compared(rendered, job, spread)
     return replace(both, judged=Judged(found, verdict, cells, alone))
+
+
+def judged_frame(
+    done: FrameResult, state: FitState, job: FitInput, image: NDArray[Any], before: Mesh
+) -> FrameResult:
+    """A tracked frame with its grade.
+
+    Parameters
+    ----------
+    state : the last of its fit.
+    job : the fit of the first frame.
+    image : (Z, Y, X) of the frame.
+    before : what its fit began with.
+    """
+    counted = None
+    if job.kind == "image":  # as tracking does: other cells lie beside those with a seed
+        counted = counted_voxels(image, job.grid, before, state.optics)
+    own = replace(job, image=image, mesh=before, counted=counted)
+    verdict = verdict_of(own, state, analyse_residual(image, job.grid, state, counted=counted))
+    return replace(done, grade=verdict.grade, judgement=verdict.sentence())
 
 
 def _measured(

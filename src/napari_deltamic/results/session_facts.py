@@ -94,13 +94,19 @@ class ResultFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameFacts:
-    """Of a frame of a series; mesh : None where it was left out. psf, structure : of its fit."""
+    """Of a frame of a series; mesh : None where it was left out.
+
+    psf, structure, moving, grade, judgement : of its fit.
+    """
 
     mesh: MeshName | None
     message: str
     events: tuple[EventFacts, ...]
     psf: tuple[float, ...] = ()
     structure: str = ""
+    moving: Triple | None = None
+    grade: str = ""
+    judgement: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,6 +40,9 @@ def tracks_facts(archive: ArchiveWriter, meshes: MeshWriter, tracks: SavedTracks
                 message=r.message,
                 psf=r.psf,
                 structure=r.structure,
+                moving=r.moving,
+                grade=r.grade,
+                judgement=r.judgement,
                 events=EventFacts.of(r.events),
             )
             for r in tracks.results
@@ -85,4 +88,7 @@ def _frame(meshes: MeshReader, facts: FrameFacts, row: list[float]) -> FrameResu
         sigma_um=(z, y, x),
         psf=facts.psf,
         structure=facts.structure,
+        moving=facts.moving,
+        grade=facts.grade,
+        judgement=facts.judgement,
     )

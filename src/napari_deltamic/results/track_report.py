@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from ..common.reading import json_values, read_text, reading
+from ..common.triple import Triple
 from ..common.writing import make_folder, write_atomically
 from ..errors import InputError, RepairWarning
 from ..geometry import load_mesh, save_mesh
@@ -140,8 +141,8 @@ def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
 class _FrameFacts:
     """Of a frame, as the report holds it; None where a number is not known.
 
-    time_s, seconds : s. used : whether it was not left out. psf, structure : older
-    reports have none.
+    time_s, seconds : s. used : whether it was not left out. psf, structure, moving, grade,
+    judgement : older reports have none.
     """
 
     frame: int
@@ -156,6 +157,9 @@ class _FrameFacts:
     sigma_um: tuple[float | None, float | None, float | None]
     psf: tuple[float, ...] = ()
     structure: str = ""
+    moving: Triple | None = None
+    grade: str = ""
+    judgement: str = ""
 
     @classmethod
     def of(cls, result: FrameResult) -> _FrameFacts:
@@ -172,6 +176,9 @@ class _FrameFacts:
             sigma_um=result.sigma_um,
             psf=result.psf,
             structure=result.structure,
+            moving=result.moving,
+            grade=result.grade,
+            judgement=result.judgement,
         )
 
 
@@ -198,6 +205,9 @@ def _result(folder: Path, facts: _FrameFacts) -> FrameResult:
         sigma_um=(z, y, x),
         psf=facts.psf,
         structure=facts.structure,
+        moving=facts.moving,
+        grade=facts.grade,
+        judgement=facts.judgement,
     )
 
 

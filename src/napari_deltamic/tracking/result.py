@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.triple import Triple
 from ..errors import InputError
 from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
@@ -46,6 +47,8 @@ class FrameResult:
     loss, iterations, seconds, sigma_um : of the fit; NaN and 0 where there was none.
     psf : its parameters after the fit, as :meth:`Optics.parameters` gives them; () for unknown.
     structure : what shines, membrane, interior or both; empty where it is not known.
+    moving : um: where the surface still moves; None where it rests.
+    grade, judgement : good, fair or poor, and why; empty where nobody has asked.
     """
 
     frame: int
@@ -59,6 +62,9 @@ class FrameResult:
     sigma_um: tuple[float, float, float] = (nan, nan, nan)
     psf: tuple[float, ...] = ()
     structure: str = ""
+    moving: Triple | None = None
+    grade: str = ""
+    judgement: str = ""
 
     @property
     def cells(self) -> tuple[int, ...]:

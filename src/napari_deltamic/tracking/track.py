@@ -177,6 +177,7 @@ class _Tracker:
             frame.number, when, mesh, state.message, tuple(events), state.loss,
             state.iteration, time.monotonic() - began, state.optics.sigma_um,
             tuple(state.optics.parameters().detach().tolist()), structure_of(state.light),
+            state.moving,
         )  # fmt: skip
         yield TrackState(frame.number, mesh, done=result, last_fit=state)
         return ""

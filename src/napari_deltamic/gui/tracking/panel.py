@@ -11,6 +11,7 @@ from qtpy.QtWidgets import QFileDialog, QGroupBox, QLabel, QVBoxLayout, QWidget
 from ...common.words import counted, duration
 from ...errors import InputError
 from ...evidence.put_together import put_together, start_of
+from ...evidence.verdict import GRADES
 from ...fitting.job import FitInput, optics_of
 from ...measure import measure_cells
 from ...results.session_file import SavedTracks
@@ -56,13 +57,16 @@ class TrackPanel(QGroupBox):
         self.table = CellTable(self)
         tip = "A mesh for each frame, tracks.csv, surface.npz, report.json and run.toml."
         self.save_button = button("Save all frames...", tip, self._ask_folder, self)
+        tip = "Move to that time, and to where the surface still moves."
+        self.worst_button = button("", tip, self.go_to_worst, self)
         buttons = row(self.track_button, self.go_on_button, form)
-        shown = self.verdict, self.frame, self.table, self.save_button
+        shown = self.verdict, self.worst_button, self.frame, self.table, self.save_button
         filled(QVBoxLayout(self), buttons, *shown)
         self.table.chosen.connect(self._chosen)
         doc.image.changed.connect(self._image_changed)
         doc.work.changed.connect(self._work_changed)
         doc.at_end(self._let_go)
+        self.worst_button.hide()
         self._image_changed()
         self._show_frame()
 
@@ -79,6 +83,16 @@ class TrackPanel(QGroupBox):
         """Track the frames after those that are done."""
         if not self._doc.busy() and self.work is not None:
             self._launch(self.work.prepare, self.work.images, self.work.frames, self.results)
+
+    def go_to_worst(self) -> None:
+        """Move to the frame whose surfaces are least sure, and to where they move."""
+        worst, layers = worst_of(self.results), self.layers
+        if worst is None or layers is None:
+            return
+        if worst.moving is not None:
+            layers.go_to(worst.frame, worst.moving)
+        else:
+            self._doc.viewer.dims.set_current_step(self._doc.viewer.dims.ndim - 4, worst.frame)
 
     def save(self, folder: str) -> None:
         """Write what the command line would. InputError if it cannot be written."""
@@ -164,6 +178,7 @@ class TrackPanel(QGroupBox):
         """Start a run of what :meth:`_made` takes."""
         self.work = self._made(*what)
         self.verdict.say("", "")
+        self.worst_button.hide()
         self._doc.work.start(self.work)
 
     def _made(
@@ -205,8 +220,20 @@ class TrackPanel(QGroupBox):
         if work is not None and work.results:
             kept = "" if verdict == "done" else f"{len(work.results)} frames are kept, "
             text += f" ({kept}{duration(work.seconds)})"
-        self.verdict.say(text, verdict)
+        self._show_worst(text, verdict)
         self._show_frame()
+
+    def _show_worst(self, text: str, verdict: str) -> None:
+        """How it ended, in the colour of the frame that went worst."""
+        worst = worst_of(self.results)
+        self.worst_button.setVisible(worst is not None)
+        if worst is not None:
+            told: list[str] = [worst.grade] if worst.grade in GRADES[1:] else []
+            verdict = [*told, "fair"][0] if verdict == "done" else verdict
+            told += [] if worst.moving is None else ["the surface still moves"]
+            text += f"; worst at time {worst.frame}: {', '.join(told)}"
+            self.worst_button.setText(f"Show time {worst.frame}")
+        self.verdict.say(text, verdict)
 
     # ---------------------------------------------------------------------------- what is shown
 
@@ -243,7 +270,8 @@ class TrackPanel(QGroupBox):
             self.table.show_rows(rows, layers.colours, length)
             told = [*(event.text for event in result.events), result.message]
             text = f"time {result.frame}: {counted(len(result.cells), 'cell')}"
-            self.frame.setText(for_window("; ".join([text, *filter(None, told)])))
+            told = [text, result.judgement, *told]
+            self.frame.setText(for_window("; ".join(filter(None, told))))
 
     def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
         """Go to the cell chosen last, at the time of its row."""
@@ -258,6 +286,17 @@ class TrackPanel(QGroupBox):
     def _complain(self, message: str) -> None:
         self.verdict.say(message, "failed")
         self._doc.warned.emit(message)
+
+
+def worst_of(results: Sequence[FrameResult]) -> FrameResult | None:
+    """The frame whose surfaces are least sure; None where all are good, or not judged, and rest."""
+
+    def doubt(result: FrameResult) -> tuple[int, bool]:
+        grade = GRADES.index(result.grade) if result.grade in GRADES else 0
+        return grade, result.moving is not None
+
+    worst = max(results, key=doubt, default=None)
+    return None if worst is None or doubt(worst) == (0, False) else worst
 
 
 def _reopened(tracks: SavedTracks, frame: Frame, images: Frames) -> FitInput | None:

@@ -9,6 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ...fitting.job import FitInput
+from ...results.judged import judged_frame
 from ...results.timeline import explained
 from ...runs.track_run import TrackRun
 from ...tracking import FrameResult, track
@@ -104,7 +105,7 @@ class TrackWork(Task):
         job = self.job = self.prepare()
         yield
         assert job is not None, "is not offered without one"
-        settings, count = self.settings, len(self.frames)
+        settings, count, before = self.settings, len(self.frames), job.mesh
         for state in track(
             self.images,
             job.grid,
@@ -119,7 +120,12 @@ class TrackWork(Task):
             self.seconds = time.monotonic() - began
             fit = state.fit
             if state.done is not None:
-                self.results.append(state.done)
+                result, last, number = state.done, state.last_fit, state.done.frame
+                if last is not None:
+                    self.stage = f"frame {number - self.frames.start + 1} of {count}: judging it"
+                    result = judged_frame(result, last, job, self.images[number], before)
+                    before = last.mesh
+                self.results.append(result)
             elif fit is not None:
                 number = state.frame - self.frames.start
                 self.share = (number + (fit.level - 1) / max(fit.levels, 1)) / count
