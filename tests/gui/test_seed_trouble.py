@@ -41,6 +41,27 @@ def test_a_point_without_a_place_is_named(panel, with_image, spin, kind, monkeyp
     assert not errors
 
 
+def test_what_is_left_out_of_a_fit_is_told_until_the_cells_change(
+    make_widget, with_image, ball_labels, spin, endless, told
+):
+    layer = with_image.layers["cell"]
+    labels = with_image.add_labels(
+        ball_labels, scale=SIZE, translate=layer.translate, units=layer.units
+    )
+    labels.data[15, 20, 20] = 8
+    widget = make_widget()
+    widget.start()
+    spin(lambda: widget.doc.link is not None and widget.doc.link.mesh is not None)
+    assert any("label 8" in text for text in told)
+    widget.stop()
+    spin(lambda: not widget.doc.running)
+    assert texts(widget.seeds) == [
+        "1 of 2 labels is left out: label 8 is too small for edges of 0.6 um"
+    ]
+    labels.data_setitem((np.array([15]), np.array([20]), np.array([20])), 0)
+    spin(lambda: not texts(widget.seeds))
+
+
 @pytest.mark.usefixtures("soon")
 def test_an_image_that_is_removed_while_a_preview_is_computed(
     panel, with_image, pixels, spin, held, monkeypatch

@@ -209,6 +209,7 @@ class CellSource(LayerTicks):
 
     spheres : whether points are to be spheres.
     preview_mesh : the surfaces that are shown of the cells, where they are.
+    told : what was said of the cells when they were made for a fit.
     """
 
     def __init__(self, viewer: Any, image: ImageSource) -> None:
@@ -216,11 +217,16 @@ class CellSource(LayerTicks):
         self.spheres = self._awaited = False
         self._renewed: Any = None
         self.preview_mesh: Mesh | None = None
+        self.told: tuple[str, ...] = ()
         super().__init__(viewer, is_seeds)
 
     def take_preview(self, mesh: Mesh | None) -> None:
         """Other surfaces are shown of the cells."""
         self.preview_mesh = mesh
+
+    def be_told(self, text: str = "") -> None:
+        """Keep what was said of the cells when they were made; without a text they are others."""
+        self.told = tuple(dict.fromkeys((*self.told, text))) if text else ()
 
     def be_spheres(self, on: bool) -> None:
         """Whether points are to be spheres."""
@@ -279,7 +285,8 @@ class CellSource(LayerTicks):
                     assert isinstance(seeds, LabelSeeds)
                     labels.append((layer, seeds.labels))
         known = all_remarks(self._point_sets(frame), labels, shape, frame.voxel_size, problems)
-        return self._placeless() + self._beside(frame) + known
+        made = [Remark(text[0].upper() + text[1:]) for text in self.told]
+        return self._placeless() + self._beside(frame) + known + made
 
     def _beside(self, frame: Frame) -> list[Remark]:
         """Cells that are left out, or cut, as only a region is fitted."""

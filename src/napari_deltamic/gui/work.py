@@ -67,7 +67,7 @@ class Task:
         self.stage = ""
         self.done = False  # by the thread, last
         self.outcome: Any = None
-        self.remarks: deque[str] = deque()  # warnings for users
+        self.remarks: deque[Warning] = deque()  # for users
 
     def steps(self) -> Generator[None, None, Any]:
         """What the thread runs: it can be stopped where it yields, and returns the outcome."""
@@ -151,7 +151,7 @@ class Work(QObject):
 
     changed = Signal()  # a task began, or ended
     looked = Signal()  # at the task under way
-    remarked = Signal(str)  # a warning of its thread
+    remarked = Signal(object)  # a warning of its thread
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -278,7 +278,7 @@ def _run(task: Task) -> None:
 
     def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, TOLD):
-            task.remarks.append(str(message))
+            task.remarks.append(message)
 
     with warnings.catch_warnings():
         warnings.filterwarnings("always", category=UserWarning)

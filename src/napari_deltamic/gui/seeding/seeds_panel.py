@@ -12,7 +12,7 @@ from napari.layers import Points
 from qtpy.QtWidgets import QFileDialog, QFormLayout, QGroupBox, QWidget
 
 from ...common.words import counted
-from ...errors import InputError
+from ...errors import InputError, RepairWarning
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
 from ..document import Document
 from ..viewing.cell_layers import LoadedMesh, load_meshes, surface_layer
@@ -174,6 +174,7 @@ class SeedsPanel(QGroupBox):
         doc.meshes_came.connect(self.make_room)
         doc.clicks_wanted.connect(self.add_clicks)
         self._image.changed.connect(self._image_changed)
+        doc.work.remarked.connect(self._remarked)
         doc.listen(self._viewer.dims.events.current_step, self._step_changed)
 
     def _new_points(self, frame: Frame) -> Points:
@@ -226,6 +227,7 @@ class SeedsPanel(QGroupBox):
         time = tuple(self._viewer.dims.current_step[:-3])
         if time != self._time:  # other points, and another image
             self._time = time
+            self.cells.be_told()
             if self._open and not self._used:
                 self._later.start()
 
@@ -237,8 +239,15 @@ class SeedsPanel(QGroupBox):
 
     def _show_soon(self, event: Any = None) -> None:
         self._used = False
+        self.cells.be_told()
         if self._open:
             self._later.start()
+
+    def _remarked(self, warning: Warning) -> None:
+        """What was left out or mended when cells were made for a fit holds as long as they do."""
+        if isinstance(warning, RepairWarning) and self._open:
+            self.cells.be_told(str(warning))
+            self._show_remarks()
 
     def _look(self) -> None:
         """Whatever follows from the seeds, once they lie still."""
