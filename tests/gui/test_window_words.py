@@ -105,3 +105,15 @@ def test_a_part_that_was_just_shown_is_scrolled_to(app, spin):
     bar = column.verticalScrollBar()
     spin(lambda: bar.value() >= 500, 5)
     outer.close()
+
+
+def test_cells_without_a_number_are_as_grey_in_3d_as_in_2d():
+    by = ByValue({1: 2.0, 2: np.nan, 4: 6.0})
+    sides = np.array([[0, 1], [0, 2], [0, 3], [0, 4]])
+    colormap, (low, high) = by.look()
+    for chosen in ((), (1, 2)):
+        drawn = colormap.map((by.surface_values(sides, chosen) - low) / (high - low))
+        np.testing.assert_allclose(drawn[:, :3], by.rgba(sides[:, 1], chosen)[:, :3], atol=0.01)
+        seen = np.isin(sides[:, 1], chosen) | (not chosen)
+        np.testing.assert_allclose(drawn[seen, 3], 1)
+        assert (drawn[~seen, 3] < 0.5).all()

@@ -24,7 +24,9 @@ _GHOSTS = _BOTH.copy()
 _GHOSTS[len(PALETTE_RGBA) :, 3] = _GHOSTLY
 # Viridis without its darkest third, which could not be seen on a dark image.
 BY_VALUE = Colormap(ensure_colormap("viridis").map(np.linspace(0.35, 1, 64)), name="by value")
-_GHOSTS_FROM = 2.0  # where the colours of what is not chosen begin, in widths of the limits
+# Where, in 3D, in widths of the limits: the colours of what is not chosen begin, cells without a
+# number are, and those of them that are not chosen.
+_GHOSTS_FROM, _WITHOUT, _END = 2.0, 4.0, 5.0
 LIMITS = (0.0, float(len(_BOTH)))
 
 
@@ -33,19 +35,23 @@ def _dimmed(colours: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _with_ghosts() -> Colormap:
-    """Over thrice the limits: ``BY_VALUE``, and the same for what is not chosen."""
-    bright = np.asarray(BY_VALUE.colors, float)
-    ghosts = _dimmed(bright)
-    ghosts[:, 3] = _GHOSTLY
-    n, end = len(bright), 1 / (_GHOSTS_FROM + 1)
-    controls = np.concatenate(
-        [np.linspace(0, end, n), (1.5 * end, 1.5 * end), np.linspace(_GHOSTS_FROM * end, 1, n)]
-    )
-    colours = np.concatenate([bright, bright[-1:], ghosts[:1], ghosts])
-    return Colormap(colours, controls=controls, name="by value, some chosen")
+    """``BY_VALUE``, the same for what is not chosen, and greys for what has no number."""
+    bright, grey = np.asarray(BY_VALUE.colors, float), np.full((1, 4), _GREY)
+    ghosts, grey[0, 3] = _dimmed(bright), 1.0
+    pale = grey.copy()
+    ghosts[:, 3] = pale[:, 3] = _GHOSTLY
+    n, before_ghosts, before_grey, before_pale = len(bright), 1.5, 3.5, 4.5
+    steps: list[Any] = [
+        *(np.linspace(0, 1, n), (before_ghosts, before_ghosts)),
+        *(np.linspace(_GHOSTS_FROM, _GHOSTS_FROM + 1, n), (before_grey, before_grey)),
+        (before_pale, before_pale, _END),
+    ]
+    colours = [bright, bright[-1:], ghosts[:1], ghosts, ghosts[-1:], grey, grey, pale, pale]
+    controls = np.concatenate(steps) / _END
+    return Colormap(np.concatenate(colours), controls=controls, name="numbers of cells")
 
 
-_BY_VALUE_CHOSEN = _with_ghosts()
+_OF_NUMBERS = _with_ghosts()
 
 
 @dataclass(frozen=True)
@@ -70,12 +76,10 @@ class ByValue:
         known = np.array([self.values.get(int(name), np.nan) for name in names], np.float32)
         return known[inverse].reshape(np.shape(regions))
 
-    def look(self, chosen: Collection[int]) -> tuple[Colormap, tuple[float, float]]:
+    def look(self) -> tuple[Colormap, tuple[float, float]]:
         """The colormap of a surface with ``surface_values``, and its limits."""
         low, high = self.limits
-        if not chosen:
-            return BY_VALUE, (low, high)
-        return _BY_VALUE_CHOSEN, (low, low + (_GHOSTS_FROM + 1) * (high - low))
+        return _OF_NUMBERS, (low, low + _END * (high - low))
 
     def surface_values(
         self, sides: NDArray[np.int64], chosen: Collection[int] = ()
@@ -83,9 +87,11 @@ class ByValue:
         """(n,) a value for vertices between some regions each, (n, k), as in ``side_values``."""
         low, high = self.limits
         own = np.where(np.isin(sides, list(chosen)), sides, 0).max(axis=1)
-        values = np.nan_to_num(self.at(np.where(own > 0, own, sides.max(axis=1))), nan=low)
-        dim = (own == 0) & bool(chosen)
-        return np.where(dim, values + _GHOSTS_FROM * (high - low), values).astype(np.float32)
+        values, width = self.at(np.where(own > 0, own, sides.max(axis=1))), high - low
+        dim, without = (own == 0) & bool(chosen), ~np.isfinite(values)
+        shown = np.where(dim, values + _GHOSTS_FROM * width, values)
+        shown[without] = low + np.where(dim[without], _END, _WITHOUT) * width
+        return shown.astype(np.float32)
 
     def rgba(self, regions: Any, chosen: Collection[int] = ()) -> NDArray[np.float64]:
         """(n, 4) the colours of regions; where some are chosen, the others are dimmed."""

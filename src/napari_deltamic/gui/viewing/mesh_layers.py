@@ -185,7 +185,7 @@ class MeshLayers:
         by, layer = self.contours.by, self.surface
         if layer is None or not self.has(layer) or (by is None and not anew):
             return
-        both = (region_colormap(), LIMITS) if by is None else by.look(self.contours.chosen)
+        both = (region_colormap(), LIMITS) if by is None else by.look()
         layer.colormap, layer.contrast_limits = both
 
     def _colour_anew(self) -> None:
