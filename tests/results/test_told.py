@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from napari_deltamic.evidence.verdict import CellVerdict, Verdict
+from napari_deltamic.evidence.verdict import UNFINISHED, CellVerdict, Verdict
 from napari_deltamic.results.judged import told
 
 
@@ -36,3 +36,11 @@ def test_cells_that_are_not_good_are_named_or_counted(grades, reasons, said):
 def test_a_question_has_no_full_stop():
     said = told(judged(["fair"], ("it is thick: are these two cells?", "slices are shifted")))
     assert said.endswith("them. It is thick: are these two cells? Slices are shifted.")
+
+
+def test_of_a_fit_that_was_stopped_that_is_told_first():
+    known = judged(["good"], (UNFINISHED,))
+    assert told(known).endswith(f". T{UNFINISHED[1:]}.")
+    said = told(known, stopped=True)
+    assert said.startswith("Stopped before it converged, so fair: the cells explain 90%")
+    assert said.endswith("around them. Continue it.")

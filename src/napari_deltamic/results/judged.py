@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..evidence.fit_facts import verdict_of
 from ..evidence.residual import Residual, analyse_residual
 from ..evidence.unseeded_objects import Stray, strays
-from ..evidence.verdict import Verdict, names_cells
+from ..evidence.verdict import UNFINISHED, Verdict, names_cells
 from ..evidence.voxel_variance import Variance, voxel_variance
 from ..fitting import FitState, counted_voxels
 from ..fitting.checks import check_image
@@ -123,18 +123,19 @@ def _measured(
     return rows
 
 
-def told(known: Judged, length: str = "µm") -> str:
+def told(known: Judged, length: str = "µm", *, stopped: bool = False) -> str:
     """The grade, how much of the image the cells explain, and why it is no better.
 
     length : what lengths are in: µm, or voxels where their size is not known.
+    stopped : whether a user has stopped the fit.
     """
     verdict: Verdict = known.verdict
     explained = known.found.explained
     if explained is None:
         return "Nothing around the cells is brighter or darker than noise."
-    text = (
-        f"{verdict.grade.capitalize()}: the cells explain {explained:.0%} of the signal around them"
-    )
+    grade = verdict.grade.capitalize()
+    head = f"Stopped before it converged, so {grade.lower()}" if stopped else grade
+    text = f"{head}: the cells explain {explained:.0%} of the signal around them"
     off = verdict.usual_error_um
     if off is not None:
         much = f"{off:.2g} voxels" if length == "voxels" else f"{1000 * off:.0f} nm"
@@ -142,6 +143,8 @@ def told(known: Judged, length: str = "µm") -> str:
     text += "."
     # The cells have reasons of their own.
     reasons = [r for r in verdict.reasons if "is explained" not in r and not names_cells(r)]
+    if stopped:
+        reasons = ["continue it" if reason == UNFINISHED else reason for reason in reasons]
     if any(names_cells(reason) for reason in verdict.reasons):
         reasons.append(f"{_of_cells(verdict)}: the table says why")
     text += "".join(f" {_sentence(reason)}" for reason in reasons)

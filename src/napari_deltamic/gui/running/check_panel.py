@@ -230,7 +230,8 @@ class CheckPanel(QGroupBox):
         known = None if record is None else record.judged
         grade = "" if known is None else known.verdict.grade
         length = "" if record is None else record.link.frame.length
-        text = "" if known is None else told(known, length)
+        stopped = record is not None and record.words[0] == "stopped"
+        text = "" if known is None else told(known, length, stopped=stopped)
         if record is not None and record.by_hand:  # no fit has looked at these shapes
             text, grade = "Changed by hand: continue the fit.", ""
         self.grade.say(text, grade)
