@@ -24,6 +24,15 @@ def test_of_a_kind_that_is_new_the_speed_is_known(tmp_path):
     assert other.iterations == 1.0
 
 
+def test_another_region_of_an_image_is_like_it(tmp_path):
+    learned = Learned(tmp_path)
+    learned.learn("foam", Experience(3.0, 12.0), ("nuclei", "left"))
+    learned.learn("foam", Experience(2.0, 1.0), ("foam", "all"))
+    assert learned.about("foam", ("nuclei", "left")) == Experience(3.0, 12.0)
+    assert learned.about("foam", ("nuclei", "right")) == Experience(3.0, 12.0)
+    assert learned.about("foam", ("others", "right")).iterations < 2
+
+
 def test_it_is_kept(tmp_path):
     Learned(tmp_path).learn("foam", Experience(3.0, 0.2))
     assert Learned(tmp_path).about("foam").seconds == pytest.approx(3.0)

@@ -226,9 +226,11 @@ def test_a_level_that_ends_late_still_needs_a_little():
     found = expected()
     last = len(found.levels)
     counts = [level.iterations for level in found.levels]
-    late = course(*counts[:-1], 3 * counts[-1])
+    late = course(*counts[:-1], 2 * counts[-1])
     left = found.remaining_seconds(late, At(last))
     assert left >= 12 * found.seconds_per_iteration
+    later = course(*counts[:-1], 3 * counts[-1])
+    assert found.remaining_seconds(later, At(last)) is None, "nobody knows when it will end"
 
 
 def test_a_level_that_ends_early_leaves_less():

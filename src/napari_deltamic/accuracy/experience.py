@@ -48,26 +48,32 @@ class Learned:
     def __init__(self, folder: Path | None = None) -> None:
         self._path = (folder or cache_folder()) / "fits.json"
         self._known = _read(self._path)
-        self._of_images: dict[tuple[Hashable, str], Experience] = {}
+        self._of_images: dict[tuple[tuple[Hashable, ...], str], Experience] = {}
 
-    def about(self, kind: str, image: Hashable = ()) -> Experience:
-        """What is known of fits of a kind, above all of an image."""
-        same = self._of_images.get((image, kind))
-        if same is not None:
-            return same
+    def about(self, kind: str, image: tuple[Hashable, ...] = ()) -> Experience:
+        """What is known of fits of a kind, above all of an image.
+
+        image : which it is, and after that what is fitted of it: another region, or time, of it is
+            most like it. Measured on three regions of an image of nuclei: a fit took 55, 39 and 30
+            times what was forecast.
+        """
+        for of in (image, image[:1]):
+            same = self._of_images.get((of, kind))
+            if same is not None:
+                return same
         known = self._known.get(kind)
         if known is not None:
             return Experience(exp(known[0]), exp(known[1]))
         found = self._known.get(_ANY)
         return Experience() if found is None else Experience(exp(found[0]), 1.0)
 
-    def learn(self, kind: str, found: Experience, image: Hashable = ()) -> None:
+    def learn(self, kind: str, found: Experience, image: tuple[Hashable, ...] = ()) -> None:
         """Take over what a fit took; kept for the next time, where that is possible.
 
         image : whose fit it was; another one of it will most likely take as long.
         """
         if image != ():
-            self._of_images[image, kind] = found
+            self._of_images[image, kind] = self._of_images[image[:1], kind] = found
         for name in (kind, _ANY):
             seconds, iterations, count = self._known.get(name, (0.0, 0.0, 0.0))
             weight = max(_NEWEST, 1 / (count + 1))  # the first counts alone

@@ -123,7 +123,7 @@ class Forecast:
     def remaining_seconds(
         self, history: FitHistory, state: Where, elapsed: float | None = None
     ) -> float | None:
-        """Seconds until the fit has converged; None while nothing is known.
+        """Seconds until the fit has converged; None where nothing is known, at first or any more.
 
         Parameters
         ----------
@@ -146,7 +146,10 @@ class Forecast:
             if level.number > state.level:
                 left += level.preparation + wanted * each
             elif level.number == state.level:
-                left += each * _still_to_come(_count(history, level.number), wanted)
+                here = _count(history, level.number)
+                if level is self.levels[-1] and here > FORECAST.unknown * level.iterations:
+                    return None
+                left += each * _still_to_come(here, wanted)
         if spent <= 0:
             return None
         # Trusted the more, the longer the fit has run: a first iteration says little.

@@ -68,6 +68,9 @@ class ForecastRules:
     window, more
         Iterations that a level which goes on beyond what was expected still needs, or this share of
         those that it has had: the end would always be near otherwise.
+    unknown
+        Times what was expected of the last level after which nothing is known of its end. Simulated
+        images need up to 2.7 times (``benchmarks.eta``); three regions of nuclei 13 to 16 times.
     trusted
         Iterations after which the pace of a fit counts as much as its forecast, since the first
         ones say little.
@@ -100,6 +103,7 @@ class ForecastRules:
     psf_every: int = 5
     window: int = 12
     more: float = 0.1
+    unknown: float = 2.7
     trusted: float = 5.0
     teach: int = 5
     farthest: float = 30.0

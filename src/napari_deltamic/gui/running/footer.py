@@ -111,7 +111,7 @@ class Footer(QWidget):
             share = round(100 * run.seconds / (run.seconds + left))
             share = max(share, self.progress.value() if self.progress.maximum() == 100 else 0)
             self._advance(min(share, 99), 100, f"{text}, %p%")
-        else:
+        elif self.progress.maximum() != 100:  # else it stays where it is
             self._advance(state.level - 1, state.levels, text)
         done, rate = len(run.history.loss), snapshot.iterations_per_second
         self._iterations, self._since = done, time.monotonic()

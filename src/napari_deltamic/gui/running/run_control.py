@@ -188,7 +188,7 @@ class RunControl:
             self.let_go()
 
 
-def _after(learned: Learned, image: Hashable, job: FitInput) -> Forecaster | None:
+def _after(learned: Learned, image: tuple[Hashable, ...], job: FitInput) -> Forecaster | None:
     """A forecast that knows how earlier runs went."""
     found = expected(job)
     return found.after(learned.about(found.kind, image)) if isinstance(found, Forecast) else found

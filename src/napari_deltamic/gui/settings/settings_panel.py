@@ -46,6 +46,10 @@ class SettingsPanel(QGroupBox):
         self.accuracy = AccuracyDial(self)
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
+        self.outlook.setToolTip(
+            "Before the first fit, that of one which settles at once: images that show more than "
+            "the model describes take many times as long. Later ones go by what fits have taken."
+        )
         self.tradeoff = TradeoffView(doc, self)
         self.psf_button = QToolButton(self)
         self.advanced = self._lay_out()
