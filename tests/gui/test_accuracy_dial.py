@@ -50,8 +50,8 @@ def expected(widget, pixels, mesh, costs, **settings):
     return forecast(pixels, GRID, mesh, nd.GaussianPSF(sigma), given, costs=costs)
 
 
-def in_words(found, about=""):
-    return f"takes {about}{duration(found.seconds, whole=found.seconds > 2)} or more"
+def in_words(found):
+    return f"takes {duration(found.seconds, whole=found.seconds > 2)} or more"
 
 
 # ---------------------------------------------------------------------------------- the dial
@@ -136,13 +136,13 @@ def test_the_surfaces_of_the_preview_are_used(seeded, pixels, spin, costs):
     assert seeded.settings.outlook.text() == in_words(found)
 
 
-def test_without_a_preview_sizes_are_guessed_and_it_says_about(seeded, pixels, spin, costs):
+def test_without_a_preview_sizes_are_guessed(seeded, pixels, spin, costs):
     seeded.seeds.preview.setChecked(False)
     seeded.seeds.shape.setCurrentIndex(0)
     spin(settled(seeded))
     ball = sphere(CENTER, min(np.multiply(SHAPE, SIZE)) / 3, edge_length=EDGE)
     found = expected(seeded, pixels, ball, costs, levels=NEAR_LEVELS)
-    assert seeded.settings.outlook.text() == in_words(found, "about ")
+    assert seeded.settings.outlook.text() == in_words(found)
 
 
 def test_labels_and_surfaces_are_seeds_too(
@@ -158,7 +158,7 @@ def test_labels_and_surfaces_are_seeds_too(
     middle = (np.asarray(SHAPE) - 1) / 2 * SIZE
     ball = sphere(middle, radius, edge_length=EDGE)
     found = expected(widget, pixels, ball, costs, levels=NEAR_LEVELS)
-    assert widget.settings.outlook.text() == in_words(found, "about ")
+    assert widget.settings.outlook.text() == in_words(found)
     surface = sphere(CENTER, 1.0, edge_length=0.4)
     data = (surface.vertices_numpy(), surface.faces)
     with_image.add_surface(data, translate=(1, 2, 3), units=("um",) * 3)
@@ -300,7 +300,7 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin, monke
     key = seeded.doc.image.key()
     known = seeded.doc.learned.about(whole.kind, key)
     spin(lambda: not seeded.settings.forecast.background.busy)
-    seeded.settings.forecast._show(key, Outlook(0.1, 1e-2, whole, guessed=False))
+    seeded.settings.forecast._show(key, Outlook(0.1, 1e-2, whole))
     assert seeded.settings.outlook.text() == predicted(whole.after(known))
     assert "or more" not in seeded.settings.outlook.text()
 

@@ -64,7 +64,6 @@ class Outlook:
     noise: float
     accuracy: float
     forecast: Forecast
-    guessed: bool
 
 
 def outlook(scene: SceneNow) -> Outlook:
@@ -82,7 +81,7 @@ def outlook(scene: SceneNow) -> Outlook:
     start = rough_surfaces(scene.seeds, scene.grid, scene.known)
     given = scene.grid, start.mesh, scene.optics, settings
     expected = forecast(pixels, *given, None, effects, known, start.touching)
-    return Outlook(noise, accuracy, expected, start.guessed)
+    return Outlook(noise, accuracy, expected)
 
 
 def expected(job: FitInput) -> Forecaster | None:

@@ -20,12 +20,10 @@ from ..scene import Grid
 class RoughSurfaces:
     """What a forecast is of.
 
-    guessed : whether their size is a guess.
     touching : whether cells touch, where only labels tell; None where the surfaces do.
     """
 
     mesh: Mesh
-    guessed: bool
     touching: bool | None
 
 
@@ -35,25 +33,22 @@ def rough_surfaces(seeds: Seeds, grid: Grid, known: Mesh | None = None) -> Rough
     known : the surfaces that the image gives for the points, where that was found already.
     """
     parts = seeds.parts if isinstance(seeds, MixedSeeds) else (seeds,)
-    meshes, guessed, labels = [], False, []
+    meshes, labels = [], []
     for part in parts:
         if isinstance(part, PointSeeds):
-            from_image = part.kind == "image"
-            if from_image and known is not None:
+            if part.kind == "image" and known is not None:
                 meshes.append(known)
             else:
                 meshes.append(_balls(part.points, part.radii, grid))
-                guessed = guessed or from_image
         elif isinstance(part, LabelSeeds):
             labels.append(np.asarray(part.labels))
             meshes += _balls_of_labels(labels[-1], grid)
-            guessed = True
         elif isinstance(part, MeshSeeds):
             meshes.append(part.surface)
     if not meshes:
         raise InputError("there are no surfaces to start from")
     touching = any(map(_touch, labels)) if labels else None
-    return RoughSurfaces(Mesh.merge(meshes), guessed, touching)
+    return RoughSurfaces(Mesh.merge(meshes), touching)
 
 
 def points_of(seeds: Seeds) -> int:

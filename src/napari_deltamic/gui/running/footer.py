@@ -111,7 +111,9 @@ class Footer(QWidget):
             share = round(100 * run.seconds / (run.seconds + left))
             share = max(share, self.progress.value() if self.progress.maximum() == 100 else 0)
             self._advance(min(share, 99), 100, f"{text}, %p%")
-        elif self.progress.maximum() != 100:  # else it stays where it is
+        elif self.progress.maximum() == 100:  # it is known no more
+            self._advance(self.progress.value(), 100, text)
+        else:
             self._advance(state.level - 1, state.levels, text)
         done, rate = len(run.history.loss), snapshot.iterations_per_second
         self._iterations, self._since = done, time.monotonic()

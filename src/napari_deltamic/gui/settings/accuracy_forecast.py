@@ -144,7 +144,7 @@ class AccuracyForecast(QObject):
         self._show_number()
         expected = found.forecast
         known = self._doc.learned.about(expected.kind, key)
-        self.predicts.emit(predicted(expected.after(known), found.guessed))
+        self.predicts.emit(predicted(expected.after(known)))
 
     def _show_number(self) -> None:
         """What the dial stands for, where that is known and something."""
@@ -271,14 +271,14 @@ class TradeoffView(QWidget):
                 self.progress.say(_STALE if stale else "")
 
 
-def predicted(forecast: Forecast, guessed: bool = False) -> str:
-    """A forecast in words; less certain where the size of the surfaces is a guess.
+def predicted(forecast: Forecast) -> str:
+    """A forecast in words.
 
     Without earlier fits of this kind it is the least: a fit that settles at once. Images of nuclei
     took 6 to 55 times as long, simulated ones 1.6 to 4 times.
     """
-    text = f"takes {'about ' * guessed}{duration(forecast.seconds, whole=forecast.seconds > 2)}"
-    return text + " or more" * (forecast.learned.iterations == 1)
+    time = duration(forecast.seconds, whole=forecast.seconds > 2)
+    return f"takes {time} or more" if forecast.learned.iterations == 1 else f"takes about {time}"
 
 
 def scene_key(doc: Document) -> tuple[Any, ...]:
