@@ -51,6 +51,7 @@ def test_nothing_is_computed_while_the_panel_is_folded(seeded, spin, counted):
 
 def test_the_numbers_shown_are_drawn(open_panel, spin):
     spin(lambda: picture(open_panel).sections is not None)
+    assert open_panel.settings.optics.found.text() == ""
     show_psf(open_panel.doc, sigma=(0.8, 0.2, 0.2))
     spin(lambda: picture(open_panel).sections.side == pytest.approx(5.6))
     tall, wide = extent(picture(open_panel).sections.xz)
@@ -91,3 +92,7 @@ def test_it_follows_the_fit(open_panel, spin, endless, counted):
         picture(open_panel).sections.side, 7 * max(open_panel.doc.run.state.optics.sigma_um)
     )
     assert isinstance(counted[-1], GaussianPSF)
+    z, y, _ = open_panel.doc.run.state.optics.sigma_um
+    assert open_panel.settings.optics.found.text().startswith(
+        f"That of the fit: {z:.2f} (z), {y:.2f}"
+    )

@@ -69,7 +69,8 @@ class OpticsPanel(QWidget):
         self.sigma = TripleField(described(SceneSettings)["sigma"].sentence, self)
         self.objective = ObjectiveFields(self)
         self.measured = MeasuredFields(self._complain, self)
-        self.width_note, self.trouble = Note(self), Note(self, "poor")
+        self.width_note, self.found = Note(self), Note(self)
+        self.trouble = Note(self, "poor")
         self.picture = PsfPicture(doc, self)
         self._pages: dict[str, QWidget] = {
             GAUSSIAN: self.sigma,
@@ -78,7 +79,7 @@ class OpticsPanel(QWidget):
         }
         top = QFormLayout()
         top.addRow("PSF", self.kind)
-        rows = self.width_note, self.trouble, self.picture
+        rows = self.width_note, self.trouble, self.picture, self.found
         column(top, *self._pages.values(), *rows, of=self)
         self.background = doc.background(self._complain)
         self.kind.currentTextChanged.connect(self._edited)
@@ -107,10 +108,14 @@ class OpticsPanel(QWidget):
     def _show_own_or_found(self) -> None:
         """In the picture: what the fit of the image found, else the PSF of these fields."""
         present = self._doc.present()
-        if present is not None:
-            self.picture.show_optics(present.state.optics)
-        else:
+        if present is None:
             self._show_own()
+            return
+        optics = present.state.optics
+        self.picture.show_optics(optics)
+        # Others are asked for their widths, which takes a while.
+        widths = f": {widths_in_words(optics.sigma_um)} µm" if type(optics) is GaussianPSF else ""
+        self.found.say(f"That of the fit{widths}")
 
     def _edited(self, value: Any = None) -> None:
         self._choice.edit_psf(self._settings)
@@ -156,6 +161,7 @@ class OpticsPanel(QWidget):
         self.described.emit()
 
     def _show_own(self) -> None:
+        self.found.say("")
         if self._choice.psf is None:
             self.picture.show_optics(GaussianPSF(self._choice.sigma))
         else:
