@@ -231,6 +231,14 @@ def test_a_button_leads_to_where_the_surface_still_moves(widget, with_image):
     assert check.moving.isHidden()
 
 
+def test_a_table_of_few_cells_leaves_no_empty_room(widget):
+    table, rows = widget.results.table, widget.results.table.rows
+    few = table.maximumHeight()
+    assert few < 192, "as high as Qt would have it"
+    table.show_rows([{**rows[0], "region": k} for k in range(1, 60)])
+    assert table.maximumHeight() > 1000
+
+
 def test_columns_have_titles_in_english():
     names = {column.key: column.name for column in COLUMNS}
     assert names["n_contacts"] == "contacts"

@@ -131,6 +131,10 @@ class CellTable(QTableWidget):
             self.setSortingEnabled(True)
             self._hide_columns()
             self._select(before)
+        bars: tuple[Any, ...] = self.horizontalHeader(), self.horizontalScrollBar()
+        side: Any = self.verticalHeader()
+        height = int(side.length()) + sum(bar.sizeHint().height() for bar in bars) + 2
+        self.setMaximumHeight(max(height, self.minimumHeight()))  # no empty room below few rows
         self._tell(by_hand=False)
 
     def chosen_regions(self) -> tuple[int, ...]:
