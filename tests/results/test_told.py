@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from napari_deltamic.evidence.verdict import UNFINISHED, CellVerdict, Verdict
+from napari_deltamic.evidence.verdict import CellVerdict, Verdict
 from napari_deltamic.results.judged import told
 
 
@@ -39,8 +39,8 @@ def test_a_question_has_no_full_stop():
 
 
 def test_of_a_fit_that_was_stopped_that_is_told_first():
-    known = judged(["good"], (UNFINISHED,))
-    assert told(known).endswith(f". T{UNFINISHED[1:]}.")
+    known = judged(["good", "poor"], ("the fit has not converged", "cell 2 is poor"))
+    assert told(known).endswith(" The fit has not converged. Cell 2 is poor: the table says why.")
     said = told(known, stopped=True)
     assert said.startswith("Stopped before it converged, so fair: the cells explain 90%")
-    assert said.endswith("around them. Continue it.")
+    assert said.endswith("around them. Continue it, or start from better cells.")

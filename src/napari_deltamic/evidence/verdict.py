@@ -19,7 +19,6 @@ from .predicted_error import PredictedError, ShapeDeviation
 
 Grade = Literal["good", "fair", "poor"]
 GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
-UNFINISHED = "the fit has not converged: continue it, or start from better seeds"
 
 
 @dataclass(frozen=True)
@@ -218,7 +217,7 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.by_hand:
         found.append(("poor", "it was changed by hand: continue the fit"))
     elif not facts.finished:
-        found.append(("poor", UNFINISHED))
+        found.append(("poor", "the fit has not converged: continue it, or start from better seeds"))
     if facts.explained is None:
         found.append(("poor", "nothing around the surfaces is brighter or darker than noise"))
     elif facts.explained < RULES.good:
