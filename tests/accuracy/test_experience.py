@@ -26,11 +26,13 @@ def test_of_a_kind_that_is_new_the_speed_is_known(tmp_path):
 
 def test_another_region_of_an_image_is_like_it(tmp_path):
     learned = Learned(tmp_path)
-    learned.learn("foam", Experience(3.0, 12.0), ("nuclei", "left"))
+    learned.learn("foam", Experience(3.0, 12.0, single=True), ("nuclei", "left"))
     learned.learn("foam", Experience(2.0, 1.0), ("foam", "all"))
-    assert learned.about("foam", ("nuclei", "left")) == Experience(3.0, 12.0)
-    assert learned.about("foam", ("nuclei", "right")) == Experience(3.0, 12.0)
-    assert learned.about("foam", ("others", "right")).iterations < 2
+    for region in ("left", "right"):
+        assert learned.about("foam", ("nuclei", region)) == Experience(3.0, 12.0, single=True)
+    other = learned.about("foam", ("others", "right"))
+    assert other.iterations < 2
+    assert not other.single, "of an image that was never fitted less is known"
 
 
 def test_it_is_kept(tmp_path):

@@ -30,10 +30,13 @@ class Experience:
         Of an iteration.
     iterations
         Until it had converged.
+    single
+        Whether that is of one fit, rather than a mean over those of several images.
     """
 
     seconds: float = 1.0
     iterations: float = 1.0
+    single: bool = False
 
 
 class Learned:

@@ -274,11 +274,11 @@ class TradeoffView(QWidget):
 def predicted(forecast: Forecast) -> str:
     """A forecast in words.
 
-    Without earlier fits of this kind it is the least: a fit that settles at once. Images of nuclei
-    took 6 to 55 times as long, simulated ones 1.6 to 4 times.
+    Before the first fit of an image it is the least: that of one which settles at once. Images of
+    nuclei took 6 to 55 times as long, simulated ones 1.6 to 4 times.
     """
     time = duration(forecast.seconds, whole=forecast.seconds > 2)
-    return f"takes {time} or more" if forecast.learned.iterations == 1 else f"takes about {time}"
+    return f"takes about {time}" if forecast.learned.single else f"takes {time} or more"
 
 
 def scene_key(doc: Document) -> tuple[Any, ...]:

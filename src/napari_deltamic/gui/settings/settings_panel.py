@@ -47,8 +47,9 @@ class SettingsPanel(QGroupBox):
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
         self.outlook.setToolTip(
-            "Before the first fit, that of one which settles at once: images that show more than "
-            "the model describes take many times as long. Later ones go by what fits have taken."
+            "Before the first fit of an image, that of one which settles at once: where it shows "
+            "more than the model describes, many times as long. Later ones go by what fits of it "
+            "have taken."
         )
         self.tradeoff = TradeoffView(doc, self)
         self.psf_button = QToolButton(self)
