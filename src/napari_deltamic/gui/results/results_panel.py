@@ -48,7 +48,7 @@ class ResultsPanel(QGroupBox):
         self._shown_of: Any = None  # the state whose cells are shown
         self.table = CellTable(self)
         tip = "Colour the cells in the viewer by a column of the table."
-        self.colour = narrow_box(self, "colour cells by", tip, characters=8)
+        self.colour = narrow_box(self, "colour cells by", tip, characters=5)
         self.columns = button("Columns", "Choose what the table shows.", None, self)
         shown = QMenu(self.columns)
         shown.aboutToShow.connect(partial(self.table.fill_menu, shown))

@@ -78,7 +78,7 @@ class CheckPanel(QGroupBox):
             "<b>rendered</b>: what the microscope would see of the present surfaces. "
             f"<b>residual</b>: {_SCALE}"
         )
-        self.view = narrow_box(self, "what is shown", tip, VIEWS, 9)
+        self.view = narrow_box(self, "what is shown", tip, VIEWS, 5)
         self.scale = Note(self)  # of the residual, to which napari's bar gives no unit
         tip = "Look at slices across another axis."
         self.slice = narrow_box(self, "slices", tip, _SLICES, 3)
