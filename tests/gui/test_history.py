@@ -177,6 +177,11 @@ def test_iterations_that_all_take_long_are_no_longer_step(begun, spin):
     begun.doc.run.stopping = False
     shown._show_fit(snapshot)
     assert shown._long == 50.0
+    assert shown.progress.format().endswith("%p%")
+    reached, snapshot.remaining = shown.progress.value(), None
+    shown._show_fit(snapshot)
+    assert shown.progress.value() == reached, "never back"
+    assert shown.progress.format() == "level 1 of 1", "its end is known no more"
 
 
 @pytest.mark.slow

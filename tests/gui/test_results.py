@@ -246,6 +246,16 @@ def test_columns_have_titles_in_english():
 
 
 @pytest.mark.usefixtures("judged")
+def test_that_a_fit_was_stopped_comes_before_its_grade(widget, spin):
+    check = widget.running
+    spin(lambda: widget.doc.result.judged is not None)
+    assert check.grade.text().startswith("Poor: ")
+    widget.doc.record.end("stopped", "stopped (3 iterations)")
+    widget.doc.ended.emit()
+    assert check.grade.text().startswith("Stopped before it converged, so poor: the cells explain")
+
+
+@pytest.mark.usefixtures("judged")
 def test_what_is_said_of_the_middle_of_the_view_goes_when_it_moves(widget, with_image, spin):
     check, camera = widget.running, camera_of(with_image)
     spin(lambda: widget.doc.result.judged is not None)
