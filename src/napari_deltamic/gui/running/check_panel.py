@@ -8,7 +8,6 @@ from itertools import groupby
 from math import isfinite
 from typing import Any
 
-import numpy as np
 from qtpy.QtCore import QPointF, QRectF
 from qtpy.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen, QPolygonF
 from qtpy.QtWidgets import QGroupBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
@@ -19,7 +18,6 @@ from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment, explained
 from ..document import VIEWS, Document
 from ..record import Record
-from ..viewing.frame import camera_of
 from ..widgets import Fold, Note, Signal, button, filled, is_dark, narrow_box, row
 from .edits import Edits
 from .history_bar import HistoryBar
@@ -46,7 +44,6 @@ class CheckPanel(QGroupBox):
         super().__init__(_TITLE, parent)
         self._doc = doc
         self._note_of: Any = None  # the image that the note is about
-        self._seen: list[float] | None = None  # where the view was that the note speaks of
         self._offset = 0  # iterations of the runs before the present one
         self.away, self.away_row = Note(self, "fair"), QWidget(self)
         tip = "Move the slider to the time of the result."
@@ -97,7 +94,6 @@ class CheckPanel(QGroupBox):
 
     def tell(self, text: str) -> None:
         """What came of something that the user did, in a line."""
-        self._seen = None
         self._note_of = self._doc.image.layer
         self.note.say(text)
         self._hide_if_empty()
@@ -106,13 +102,13 @@ class CheckPanel(QGroupBox):
         """Move the view to where the image differs most from the rendered one."""
         spots, link = () if self._judged is None else self._judged.found.spots, self._doc.link
         if spots and link is not None:
-            link.go_to(spots[0].position)
-            kind = "brighter" if spots[0].z > 0 else "darker"
+            worst, kind = spots[0], "brighter" if spots[0].z > 0 else "darker"
+            place = ", ".join(f"{at:.1f}" for at in worst.position)
+            link.go_to(worst.position)
             self.tell(
-                f"In the middle of the view the image is {kind} than rendered, by "
-                f"{abs(spots[0].z):.0f} standard deviations of the noise."
+                f"At ({place}) {link.frame.length} the image is {kind} than rendered, by "
+                f"{abs(worst.z):.0f} standard deviations of the noise."
             )
-            self._seen = self._middle()
 
     def go_to_moving(self) -> None:
         """Move the view to where the surface still moves, as the verdict says."""
@@ -120,8 +116,6 @@ class CheckPanel(QGroupBox):
         state = None if record is None else record.state
         if state is not None and state.moving is not None and link is not None:
             link.go_to(state.moving)
-            self.tell("In the middle of the view the surface still moves.")
-            self._seen = self._middle()
 
     def _go_to_time(self) -> None:
         if self._doc.link is not None:
@@ -134,28 +128,11 @@ class CheckPanel(QGroupBox):
         self.away.say(f"This is of {time}, not of the time shown." if time else "")
         self.away_row.setVisible(bool(time))
 
-    def _middle(self) -> list[float]:
-        """Where the view looks: the slices shown, and the middle of the axes that it spans."""
-        dims = self._doc.viewer.dims
-        return [*dims.point, *camera_of(self._doc.viewer).center[-dims.ndisplay :]]
-
-    def _view_moved(self, event: Any = None) -> None:
-        """What was said of the middle of the view is of another place now."""
-        before, now, link = self._seen, self._middle(), self._doc.link
-        if before is None or link is None:
-            return
-        # napari's canvas rounds; a nudge of the view does not make the sentence wrong.
-        near = 2 * max(link.image_layer.scale[-3:])
-        if len(now) != len(before) or not np.allclose(now, before, rtol=0, atol=near):
-            self.tell("")
-
     def _connect(self) -> None:
         doc = self._doc
         self.view.currentTextChanged.connect(doc.look)
         self.slice.activated.connect(self._turn)
-        doc.listen(doc.viewer.dims.events.point, self._view_moved)
         doc.listen(doc.viewer.dims.events.current_step, self._show_time)
-        doc.listen(camera_of(doc.viewer).events.center, self._view_moved)
         self.history.moment_chosen.connect(self._look_at)
         doc.noted.connect(self.tell)
         doc.work.changed.connect(self._work_changed)
