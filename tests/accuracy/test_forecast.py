@@ -202,6 +202,7 @@ def test_the_next_forecast_is_what_the_last_fit_took():
     counts = [3 * level.iterations for level in found.levels]
     history, end = course(*counts), At(len(counts), converged=True)
     took = 10 * found.seconds
+    assert found.experience(history, end, took).single
     learned = found.after(found.experience(history, end, took))
     assert learned.seconds == pytest.approx(took, rel=0.01)
     assert learned.iterations == sum(counts)
@@ -218,6 +219,7 @@ def test_what_a_fit_that_was_stopped_teaches():
     twice = 2 * (level.preparation + 10 * level.seconds_per_iteration)
     few = found.experience(course(10), At(1), twice)
     assert (few.seconds, few.iterations) == pytest.approx((2, 1))
+    assert not few.single
     many = found.experience(course(2 * level.iterations), At(1), 1.0)
     assert many.iterations == pytest.approx(2)
 

@@ -10,6 +10,7 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic.accuracy import machine_costs
+from napari_deltamic.accuracy.experience import Experience
 from napari_deltamic.accuracy.forecast import Forecast, LevelForecast, forecast
 from napari_deltamic.accuracy.outlook import Outlook
 from napari_deltamic.accuracy.renewed_forecast import RenewedForecast
@@ -302,7 +303,9 @@ def test_the_next_run_is_predicted_by_what_the_last_one_took(seeded, spin, monke
     spin(lambda: not seeded.settings.forecast.background.busy)
     seeded.settings.forecast._show(key, Outlook(0.1, 1e-2, whole))
     assert seeded.settings.outlook.text() == predicted(whole.after(known))
-    assert "or more" not in seeded.settings.outlook.text()
+    assert seeded.settings.outlook.text().endswith("or more"), "it was cut short"
+    whole = whole.after(Experience(0.1, 0.1, single=True))
+    assert predicted(whole) == f"takes about {duration(whole.seconds, whole=True)}"
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ class Experience:
     iterations
         Until it had converged.
     single
-        Whether that is of one fit, rather than a mean over those of several images.
+        Whether that is of one fit that has converged, rather than a mean over several images.
     """
 
     seconds: float = 1.0

@@ -176,7 +176,7 @@ class Forecast:
         more = done / wanted if wanted else 1.0
         known = self.learned
         seconds, iterations = known.seconds * elapsed / spent, known.iterations * more
-        return Experience(_within(seconds), _within(iterations), single=True)
+        return Experience(_within(seconds), _within(iterations), single=state.converged)
 
     def after(self, earlier: Experience) -> Forecast:
         """The same, corrected by how far off earlier ones were."""
