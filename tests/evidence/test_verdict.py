@@ -55,6 +55,7 @@ def test_a_fit_without_fault_is_good():
         ({"compressed": True}, "fair", "look log-scaled"),
         ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
         ({"alone": True}, "fair", "insides alone may explain as much"),
+        ({"nuclei": True}, "fair", "a dim middle was taken for a dark nucleus"),
         (
             {"slices": SlicesApart(shift=0.43)},
             "fair",

@@ -1,98 +1,196 @@
-"""Cytoplasm around a dark nucleus, a few widths of the PSF thick, looks like a membrane."""
+"""Cytoplasm around a dark nucleus is told from a membrane by how thick it is."""
 
+from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import fit, level_run, rival_structures
-from napari_deltamic.fitting.shape import Shape
+from napari_deltamic.fitting import dark_nuclei
+from napari_deltamic.fitting.dark_nuclei import RULES, _followed, _with_nuclei, around_nuclei
 from napari_deltamic.geometry import sphere
+from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings
-from synthetic import CENTER, GRID, OPTICS, RADIUS
+from napari_deltamic.scene.light import Light
 
-FEW = np.array([20.0, 15.0, 10.0, 5.0, 3.0])  # nats, 1.9 errors
-MANY = np.full(16, 10.0)  # 4 errors
-
-
-def ended(*shining):
-    scene = nd.Scene(shining, OPTICS)
-    image = nd.simulate(scene, GRID, photons=60.0, background=5.0, seed=3).image
-    settings = FitSettings(levels=(1.0,), fit_psf=True)
-    *_, state = fit(image, GRID, sphere(CENTER, RADIUS, subdivisions=3), OPTICS, settings=settings)
-    return state
+GRID = nd.Grid((32, 32, 32), (0.2, 0.2, 0.2))
+MIDDLE = np.full(3, 3.1)
+OPTICS = nd.GaussianPSF((0.26, 0.26, 0.26))
+BALL = sphere(MIDDLE, 2.2, edge_length=0.4)
 
 
-def test_cytoplasm_around_a_dark_nucleus_is_doubted(monkeypatch):
-    asked = []
-
-    def counted(terms, objective, factored):
-        asked.append(objective)
-        return rival_structures.insides_may_do(terms, objective, factored)
-
-    monkeypatch.setattr(level_run, "insides_may_do", counted)
-    cell, nucleus = (sphere(CENTER, r * RADIUS, subdivisions=3) for r in (1.0, 0.5))
-    state = ended(nd.Solid(cell), nd.Solid(nucleus, -0.75))
-    # What makes the test worth its name: the fit is wrong.
-    assert state.light.membrane > 0
-    assert state.mesh.volumes()[1] < 0.8 * cell.volumes()[1]
-    assert state.unsure
-    assert len(asked) == 1  # in the end: a few steps of another fit take time
+def radius(volume: float) -> float:
+    return float(np.cbrt(3 / (4 * np.pi) * volume))
 
 
-@pytest.mark.slow
-def test_a_membrane_with_a_dim_inside_is_not():
-    cell = sphere(CENTER, RADIUS, subdivisions=3)
-    state = ended(nd.Surface(cell, 0.5), nd.Solid(cell))
-    assert state.light.membrane > 0 < state.light.interior
-    assert state.mesh.volumes()[1] == pytest.approx(cell.volumes()[1], rel=0.05)
-    assert not state.unsure
+def test_a_cell_gets_a_nucleus_and_a_border_further_out():
+    cells = _with_nuclei(BALL, GRID, 0.4)
+    assert cells is not None
+    assert cells.nuclei == {1: 2}
+    held = cells.mesh.volumes()
+    outer, inner = radius(held[1] + held[2]), radius(held[2])
+    assert outer == pytest.approx(2.6, abs=0.2)  # by voxels
+    assert inner == pytest.approx(1.8, abs=0.2)
+    assert cells.thickness(cells.mesh) == pytest.approx(outer - inner, rel=0.05)
+    assert cells.share(cells.mesh) == pytest.approx((inner / outer) ** 3)
+
+
+def test_without_its_nucleus_a_cell_is_whole():
+    cells = _with_nuclei(BALL, GRID, 0.4)
+    outer = cells.outer(cells.mesh)
+    assert outer.region_ids().tolist() == [1]
+    assert outer.is_closed()
+    held = cells.mesh.volumes()
+    assert outer.volumes()[1] == pytest.approx(held[1] + held[2], rel=1e-6)
+
+
+def test_cells_that_share_walls_keep_them():
+    two = nd.geometry.mesh_from_labels(
+        np.repeat([1, 2], 16)[:, None, None] * np.pad(np.ones((30, 30, 30), int), 1)[:32],
+        (0.2,) * 3,
+    )
+    cells = _with_nuclei(two, GRID, 0.4)
+    assert set(cells.nuclei) == {1, 2}
+    outer = cells.outer(cells.mesh)
+    assert sorted(outer.region_ids()) == [1, 2]
+    assert (outer.regions > 0).all(axis=1).any()
+
+
+def test_small_cells_have_none():
+    assert _with_nuclei(sphere(MIDDLE, 0.7, edge_length=0.2), GRID, 0.4) is None
+
+
+def test_the_light_of_cells_alone_and_of_even_ones():
+    cells = _with_nuclei(BALL, GRID, 0.4)
+    light = Light(0.0, 1.0, ((1, 1.2), (2, 0.3)))
+    assert dict(cells.filled(light).cells) == {1: 1.2, 2: 1.2}
+    assert cells.without_nuclei(light).cells == ()  # one cell is its own scale
+    with_another = replace(light, cells=((1, 1.2), (2, 0.3), (7, 0.9)))
+    assert cells.without_nuclei(with_another).cells == ((1, 1.2), (7, 0.9))
+
+
+SCATTER = 5.5 * (-1.0) ** np.arange(64)  # of nats by block
 
 
 @pytest.mark.parametrize(
-    ("interior", "gains", "doubted", "further"),
+    ("thick", "gains", "is_layer", "legs"),
     [
-        (0.3, [FEW, FEW], True, 1.18),
-        (0.3, [FEW, MANY], True, 1.18),  # with insides evened, they are near
-        (0.3, [MANY, MANY], False, 1.18),
-        (5.0, [FEW, FEW], True, 0.2 / 0.3989),  # too bright for a dark middle
-        (-0.3, [FEW, FEW], False, None),  # darker than the medium
+        ([3.0, 3.0], [0.0, 0.0], True, 1),
+        ([3.0, 2.9, 2.9], [-3.0, 2.0, 2.0], True, 2),  # it explained less at first, and gains
+        ([3.0, 2.0], [1.0, 1.0], False, 1),  # around a membrane, borders come together
+        ([3.6, 3.2, 2.7, 2.0], [9.0, 9.0, 9.0, 9.0], False, 3),  # however much it explains
+        ([3.0, 3.0], [-40.0, -40.0], False, 0),
+        ([4.0 * 0.94**k for k in range(20)], [float(k * k) for k in range(20)], False, 9),
     ],
 )
-def test_insides_alone_may_do_unless_both_surely_explain_more(
-    monkeypatch, interior, gains, doubted, further
-):
-    mesh, begun = sphere((0.0, 0.0, 0.0), 2.0, edge_length=0.4), []
+def test_a_layer_stays_as_thick_as_it_is(monkeypatch, thick, gains, is_layer, legs):
+    """After how many legs that is known, and whether it is a layer."""
 
-    def displaced(vertices, optics):
-        begun.append((vertices, optics))
-        return SimpleNamespace(with_structure=lambda name: name)
+    def rival(leg):
+        fitted = SimpleNamespace(mesh=None, optics=OPTICS)
+        return SimpleNamespace(leg=leg, fitted=fitted)
 
-    # The peak of the image of a membrane of 1, through a PSF of this width, is 1.
-    width = 1 / np.sqrt(2 * np.pi)
-    first = SimpleNamespace(sigma_um=(width,) * 3)
-    fitted = SimpleNamespace(
-        shape=Shape.begun(mesh, "uniform"),
-        optics=SimpleNamespace(sigma_um=(width,) * 3),
-        first_optics=first,
-        displaced=displaced,
+    fitted = SimpleNamespace(shape=SimpleNamespace(model="smooth"), first_optics=OPTICS)
+    for name in ("retriangulated", "shining", "displaced", "with_structure"):
+        setattr(fitted, name, lambda *_: fitted)
+    cells = SimpleNamespace(mesh=BALL, share=lambda _: 0.2)
+    monkeypatch.setattr(dark_nuclei, "begun", lambda *_: rival(-1))
+    monkeypatch.setattr(dark_nuclei, "gone_on", lambda one: (rival(one.leg + 1), 1))
+    monkeypatch.setattr(dark_nuclei, "_thickness", lambda one, _: thick[one.leg])
+    monkeypatch.setattr(dark_nuclei, "gains_over", lambda one, _: 2 * [gains[one.leg] + SCATTER])
+    found, layer, taken = _followed(None, SimpleNamespace(fitted=fitted), cells)
+    assert (layer, found.leg, taken) == (is_layer, legs, legs + 1)
+    cells.share = lambda _: 0.6  # nothing is left of a cell but its nucleus
+    assert not _followed(None, SimpleNamespace(fitted=fitted), cells)[1]
+
+
+@pytest.mark.parametrize(
+    "given", [{"second": object()}, {"density": "uniform"}, {"interior": -0.1}, {"pinned": True}]
+)
+def test_nuclei_are_not_asked_for(given):
+    settings = SimpleNamespace(density=given.get("density", "smooth"))
+    terms = SimpleNamespace(second=given.get("second"), settings=settings)
+    light = SimpleNamespace(interior=given.get("interior", 0.5))
+    shape = SimpleNamespace(pinned=np.array([given.get("pinned", False)]))
+    objective = SimpleNamespace(
+        fitted=SimpleNamespace(shape=shape), now=SimpleNamespace(light=light)
     )
-    both = SimpleNamespace(
-        fitted=fitted,
-        now=SimpleNamespace(light=SimpleNamespace(membrane=1.0, interior=interior)),
-        terms=SimpleNamespace(settings=SimpleNamespace(structure="auto", collisions=False)),
-        evaluations=lambda: 1,
-    )
-    both.anew = lambda: both
-    monkeypatch.setattr(rival_structures, "begun", lambda terms, one, factored: one)
-    monkeypatch.setattr(rival_structures, "gone_on", lambda one: (one, 5))
-    monkeypatch.setattr(rival_structures, "gains_over", lambda one, other: gains)
-    found, taken = rival_structures.insides_may_do(both.terms, both, None)
-    assert found is doubted
-    assert taken == (0 if further is None else 6)
-    assert len(begun) == (further is not None)
-    for vertices, optics in begun:
-        assert optics is first
-        away = np.linalg.norm(vertices, axis=1) - 2
-        np.testing.assert_allclose(away, further * width, atol=0.02)
+    assert around_nuclei(terms, objective) == (None, False, 0)
+
+
+# ---- whole fits ------------------------------------------------------------------------------
+
+
+@cache
+def image_of(membrane: bool) -> np.ndarray:
+    """Poisson noise on cytoplasm around a nucleus, or on a membrane around a dim inside."""
+    given = GRID, OPTICS, 1e-3, 1.0, 0.0
+    cell = sphere(MIDDLE, 2.2, edge_length=0.25)
+    even = nd.scene.expected_image(cell, *given, light=Light(0.0, 1.0))
+    if membrane:
+        rim = nd.scene.expected_image(cell, *given, light=Light(1.0, 0.0))
+        clean = rim / rim.max() + 0.3 * even / even.max()
+    else:
+        inner = sphere(MIDDLE + np.array([0.15, 0.1, -0.1]), 1.2, edge_length=0.2)
+        clean = even - 0.75 * nd.scene.expected_image(inner, *given, light=Light(0.0, 1.0))
+    photons = 100 * np.maximum(clean, 0) / clean.max() + 4
+    return np.random.default_rng(0).poisson(photons).astype(np.float32)
+
+
+@cache
+def end_of(membrane: bool) -> nd.FitState:
+    begin = sphere(MIDDLE, 2.0, edge_length=0.5)
+    settings = FitSettings(structure="auto", levels=(1.0,))
+    *_, last = nd.fit(image_of(membrane), GRID, begin, OPTICS, settings=settings)
+    return last
+
+
+def off(state: nd.FitState) -> float:
+    """Voxels."""
+    true = sphere(MIDDLE, 2.2, edge_length=0.25)
+    away = distance_to_surface(true.vertices_numpy(), state.mesh)
+    return float(np.sqrt(np.mean(np.asarray(away) ** 2))) / 0.2
+
+
+@pytest.mark.slow
+def test_the_border_of_cytoplasm_is_found():
+    """Both end in the middle of the layer."""
+    last = end_of(False)
+    assert last.converged
+    assert last.dimmed is not None
+    assert last.light.membrane == 0
+    assert off(last) < 0.3
+
+
+@pytest.mark.slow
+def test_its_nucleus_is_in_the_rendered_image():
+    last, rendered = end_of(False), end_of(False).rendered()
+    measured = image_of(False)
+    core = (slice(14, 18),) * 3
+    assert rendered[core].mean() == pytest.approx(measured[core].mean(), rel=0.1)
+    assert replace(last, dimmed=None).rendered()[core].mean() > 2 * rendered[core].mean()
+
+
+@pytest.mark.slow
+def test_a_membrane_around_a_dim_inside_stays_one():
+    last = end_of(True)
+    assert last.dimmed is None
+    assert last.light.membrane > 0
+    assert off(last) < 0.15
+
+
+@pytest.mark.slow
+def test_a_fit_goes_on_with_its_nuclei_from_a_checkpoint(tmp_path):
+    end_of(False).save(tmp_path / "kept.npz")
+    begin = sphere(MIDDLE, 2.0, edge_length=0.5)
+    settings = FitSettings(structure="auto", levels=(1.0,))
+    given = image_of(False), GRID, begin, OPTICS
+    *_, last = nd.fit(*given, settings=settings, resume=tmp_path / "kept.npz")
+    np.testing.assert_array_equal(last.dimmed, end_of(False).dimmed)
+    assert off(last) < 0.3
+
+
+def test_thresholds_of_two_borders():
+    assert pytest.approx(2 * np.sqrt(2 * np.log(2)), abs=1e-3) == RULES.apart

@@ -85,6 +85,24 @@ def test_a_reopened_state_renders_as_before(tmp_path):
     np.testing.assert_allclose(state.rendered(), expected, rtol=1e-5, atol=1e-6)
 
 
+def test_dark_nuclei_are_kept(tmp_path):
+    before = session()
+    dimmed = np.random.default_rng(0).random(SHAPE).astype(np.float32)
+    state = replace(before.result.state, dimmed=dimmed)
+    with_nuclei = replace(before, result=replace(before.result, state=state))
+    save_session(tmp_path / "a.deltamic", with_nuclei)
+    after = load_session(tmp_path / "a.deltamic").result.state
+    np.testing.assert_array_equal(after.dimmed, dimmed)
+    even = replace(after, dimmed=None).rendered()
+    shown = after.background + dimmed * (even - after.background)
+    np.testing.assert_allclose(after.rendered(), shown, rtol=1e-5)
+    state = replace(state, dimmed=dimmed[1:])
+    other = replace(before, result=replace(before.result, state=state))
+    save_session(tmp_path / "b.deltamic", other)
+    with pytest.raises(InputError, match="nuclei belong to another image"):
+        load_session(tmp_path / "b.deltamic")
+
+
 def test_faces_that_meshes_share_are_stored_once_and_shared_again(tmp_path):
     path = tmp_path / "a.deltamic"
     save_session(path, session())

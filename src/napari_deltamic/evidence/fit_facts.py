@@ -16,6 +16,7 @@ from ..fitting.job import FitInput, levelled
 from ..fitting.noise_blur import is_sharpened, is_white
 from ..fitting.saturation import filled_in, share_cut
 from ..fitting.state import FitState
+from ..fitting.voxel_ownership import surface_shares
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF
 from ..optics.narrow import narrower_than_told
@@ -107,8 +108,9 @@ def _cells(
         medium = dark_insides_shown(place, images.seen, images.shown, everywhere)
     volumes, uneven = mesh.volumes(), uneven_insides(job, state, images.rendered)
     known, lit, cut = np.isfinite(np.asarray(job.image)), _lit(state), _cut(mesh, job.grid)
-    seen = _share(known, job, mesh)
-    counted = seen if job.counted is None else _share(known & job.counted, job, mesh)
+    seen = surface_shares(known, job.grid, mesh)
+    may = known if job.counted is None else known & job.counted
+    counted = surface_shares(may, job.grid, mesh)
     points = shrunken(mesh, min(state.optics.sigma_um))
     share = inside_shares(state)
     grown_out = outgrowths(mesh, job.grid, state.optics)
@@ -240,21 +242,6 @@ def _roundness(mesh: Mesh) -> dict[int, float]:
         region: float(np.cbrt(np.pi) * (6 * abs(volume)) ** (2 / 3) / areas[region])
         for region, volume in mesh.volumes().items()
         if areas.get(region)
-    }
-
-
-def _share(known: np.ndarray, job: FitInput, mesh: Mesh) -> dict[int, float]:
-    """Share of the surface of each region that lies in such voxels (Z, Y, X); none where all do."""
-    grid = job.grid
-    if known.all():
-        return {}
-    middles = mesh.vertices_numpy()[mesh.faces].mean(1)
-    index = np.rint((middles - np.asarray(grid.origin)) / np.asarray(grid.voxel_size))
-    index = np.clip(index, 0, np.asarray(grid.shape) - 1).astype(np.int64)
-    areas, there = mesh.areas(), known[tuple(index.T)]
-    return {
-        r: float(areas[own][there[own]].sum() / max(areas[own].sum(), 1e-300))
-        for r, own in mesh.faces_by_region().items()
     }
 
 

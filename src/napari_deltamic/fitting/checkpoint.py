@@ -16,6 +16,8 @@ from ..scene.earlier_files import without_inside
 from ..scene.effects import Effects
 from .fitted import Arrays, Fitted, other_settings
 from .found_psf import FoundPSF, psf_from, values_of
+from .ground_again import with_ground
+from .problem import Problem
 from .stage import Stage
 from .topology import TopologyPolicy
 
@@ -40,6 +42,8 @@ class Checkpoint:
         See :meth:`~.triangle_quality.Remeshing.to_dict`.
     former
         As saved, of the fit with a Gaussian PSF that this one is held against.
+    problem
+        What is to be explained.
     """
 
     start: np.ndarray
@@ -50,6 +54,7 @@ class Checkpoint:
     policy: TopologyPolicy
     remeshing: dict[str, float]
     former: Arrays | None = None
+    problem: Problem | None = None
 
     def saved(self) -> Arrays:
         """As arrays."""
@@ -73,7 +78,14 @@ class Checkpoint:
             "run": np.array(json.dumps(plain)),
             **self.fitted.saved(),
             **{_FORMER + name: values for name, values in (self.former or {}).items()},
+            **self._ground(),
         }
+
+    def _ground(self) -> Arrays:
+        """Which voxels may count, if that was found anew, and how often."""
+        if self.problem is None or not self.problem.anew:
+            return {}
+        return {"counted": self.problem.counted, "anew": np.array(self.problem.anew)}
 
     def loaded(self, found: Arrays) -> Checkpoint:
         """This one with what another has saved.
@@ -127,6 +139,21 @@ class Checkpoint:
             policy=TopologyPolicy.from_dict(plain["policy"]),
             remeshing=plain["upkeep"],
         )
+
+
+def problem_in(found: Arrays, given: Problem) -> Problem:
+    """What a fit is to explain that goes on from a checkpoint; given : at its start.
+
+    Raises
+    ------
+    InputError
+        If the voxels that counted are of another image.
+    """
+    if "counted" not in found:
+        return given
+    if found["counted"].shape != given.counted.shape or found["counted"].dtype != bool:
+        raise InputError("the checkpoint is damaged: its voxels are of another image")
+    return with_ground(given, found["counted"], int(found["anew"]))
 
 
 def former_in(found: Arrays) -> Arrays:

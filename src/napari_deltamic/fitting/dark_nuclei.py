@@ -52,7 +52,7 @@ class DarkNucleiRules:
         Voxels of a nucleus, below which a cell has none; chosen: 3 x 3 x 3.
     legs, growing
         How often, at most, insides around nuclei are followed as far again, and the share by which
-        what they explain must grow each time.
+        what they explain must grow each time; chosen, as for hidden membranes.
     most
         Share of a cell that its nucleus may be, of all cells together; chosen: few are larger, and
         thick membranes of large cells hold less of them than that.
@@ -60,7 +60,9 @@ class DarkNucleiRules:
         Share by which the layer must get thinner each time, while it does: where that ends, it is
         as thick as it is. Measured around membranes: 0.12 and more each time, down to one width.
     lost
-        Errors of sums over blocks by which they explain less, at which they are given up.
+        Errors of sums over blocks by which they explain less, at which they are given up, with
+        insides evened and as measured. Measured after twelve steps, of the better of both: 5.3
+        to -3.3 in nine cells of cytoplasm, -1.8 to -9.1 in 19 fits of membranes and insides.
     darkest
         Of the cytoplasm, the least that is left of it anywhere: chosen, as what is measured there
         is divided by it.

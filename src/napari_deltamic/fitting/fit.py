@@ -45,6 +45,7 @@ def fit(
     effects: Effects | Sequence[str] = (),
     second: np.ndarray | None = None,
     resume: str | Path | None = None,
+    counted_may_change: bool = False,
 ) -> Generator[FitState, Change | None, None]:
     """Fit a mesh to an image; yields a state after every iteration and ends by itself.
 
@@ -80,6 +81,9 @@ def fit(
         that of its file.
     resume
         A checkpoint written by :meth:`FitState.save` to go on from.
+    counted_may_change
+        Whether voxels that were left out may count where, at its end, much of a surface lies in
+        them and they are as near as its own (:mod:`.ground_again`).
 
     Raises
     ------
@@ -109,6 +113,8 @@ def fit(
             view.restricted(counted)
         problem = replace(problem, second=view)
     problem.counted_with(effects)  # refuses what leaves too few
+    if counted_may_change and problem.second is None:
+        problem = replace(problem, anew=0)
     run = Run(problem, mesh, optics, settings, effects)
     if resume is not None:
         run = resumed(run, load_checkpoint(resume))

@@ -99,7 +99,9 @@ def scene_with(scene: SceneSettings, optics: Optics) -> SceneSettings:
 
 
 def following(job: FitInput, state: FitState) -> FitInput:
-    """The job of a fit that has begun anew with another kind of PSF; else itself."""
+    """The job of a fit that has begun anew, with another kind of PSF or other voxels; or itself."""
+    if state.counted is not None and state.counted is not job.counted:
+        job = replace(job, counted=state.counted)
     if type(state.optics) is type(job.optics):
         return job
     scene = scene_with(job.settings.scene, state.optics)
@@ -150,4 +152,5 @@ def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]
         effects=job.settings.scene.effects,
         second=job.second,
         resume=resume,
+        counted_may_change=True,
     )

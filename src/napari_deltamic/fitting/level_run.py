@@ -375,7 +375,9 @@ class LevelRun:
         at, now = self.at, self.objective.now.match
         place = self._context.problem.grid, len(at.levels), self._level.factor
         accuracy = at.settings.image_accuracy
-        return state_of(at.fitted, at.stage, now, self._densities(), *place, accuracy, kept)
+        state = state_of(at.fitted, at.stage, now, self._densities(), *place, accuracy, kept)
+        problem = self._context.problem
+        return replace(state, counted=problem.counted) if problem.anew else state
 
     def _densities(self) -> FloatArray:
         """(F,) relative to the mean."""

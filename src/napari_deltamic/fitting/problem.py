@@ -35,6 +35,9 @@ class Problem:
         (Z, Y, X) bool: measured voxels of objects that no mesh describes; None if there are none.
     hot
         How many voxels were left out because no PSF can have made them so bright.
+    anew
+        How often it was found anew which voxels are foreign (:mod:`.ground_again`); None where that
+        is given, and not to be found.
 
     Raises
     ------
@@ -48,6 +51,7 @@ class Problem:
     second: Pixels | None = None
     foreign: np.ndarray | None = None
     hot: int = 0
+    anew: int | None = None
 
     def __post_init__(self) -> None:
         _check_enough(self.counted)

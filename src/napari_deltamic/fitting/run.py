@@ -84,6 +84,11 @@ class Run:
         """What an objective is posed for."""
         return self._level.terms
 
+    @property
+    def problem(self) -> Problem:
+        """What is to be explained."""
+        return self._context.problem
+
     def say(self, *remarks: str) -> None:
         """Tell this with the next state."""
         self._context.reporter.say(*remarks)
@@ -168,8 +173,14 @@ class Run:
         given = begun, optics, self._level.at.settings, effects
         return Run(self._context.problem, *given, self.stage.begun_anew(optics), former)
 
+    def on_ground(self, problem: Problem) -> Run:
+        """A run from the same start with other voxels that count."""
+        optics, effects = self.fitted.first_optics, self.fitted.first_effects
+        given = self._context.begun.mesh, optics, self._level.at.settings, effects
+        return Run(problem, *given, self.stage.begun_anew(optics))
+
     def go_on_at(self, fitted: Fitted, all_shines: bool) -> None:
-        """Begin at the last level, where the fit with another PSF has ended.
+        """Begin at the last level, where another fit has ended.
 
         all_shines : whether all that may shine does again, or what did in the end.
         """
@@ -212,6 +223,7 @@ class Run:
             upkeep.policy,
             upkeep.saved(),
             None if self._former is None else self._former.checkpoint().saved(),
+            self.problem,
         )
 
     def go_on_from(self, kept: Arrays) -> None:

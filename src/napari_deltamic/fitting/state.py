@@ -62,6 +62,9 @@ class FitState:
     dimmed
         (Z, Y, X) float32: what insides show with dark nuclei over what they would without; None
         where none were found.
+    counted
+        (Z, Y, X) bool: voxels that may count, where that was found anew on the way; None: those
+        that were given.
     """
 
     iteration: int
@@ -85,6 +88,7 @@ class FitState:
     cone: bool = False
     unsure: bool = False
     dimmed: np.ndarray | None = None
+    counted: np.ndarray | None = None
     _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
     _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
 

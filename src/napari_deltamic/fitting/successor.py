@@ -12,10 +12,11 @@ from typing import Protocol, Self, TypeVar
 
 from ..optics import GaussianMixturePSF, GaussianPSF, Optics, ScalarPSF
 from ..optics.narrow import narrower_than_told
-from .checkpoint import Checkpoint, former_in, objective_in
+from .checkpoint import Checkpoint, former_in, objective_in, problem_in
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted
 from .found_psf import FoundPSF
+from .ground_again import ground_again
 from .light_cone import (
     ABERRATED,
     ANEW,
@@ -24,9 +25,13 @@ from .light_cone import (
     objective_instead,
     spherical_of,
 )
+from .problem import Problem
 from .psf_tails import HAS_TAILS, tails_instead
 from .stage import Stage
 
+OWN_LIGHT = (
+    "light that was assigned to other objects is the cell's own: the fit goes on with more voxels"
+)
 BACK = "the new PSF explains less: the fit goes back to the Gaussian PSF"
 NARROW = "the new PSF is narrower than voxels can resolve: the fit goes back to the Gaussian PSF"
 
@@ -46,9 +51,12 @@ class Ending(Protocol):
     def objective(self) -> Objective: ...
     @property
     def terms(self) -> Terms: ...
+    @property
+    def problem(self) -> Problem: ...
     def say(self, *remarks: str) -> None: ...
     def spend(self, evaluations: int) -> None: ...
     def again(self, optics: Optics, former: Self | None = None) -> Self: ...
+    def on_ground(self, problem: Problem) -> Self: ...
     def let_former_go(self) -> Self | None: ...
     def checkpoint(self) -> Checkpoint: ...
     def go_on_from(self, kept: Arrays) -> None: ...
@@ -70,6 +78,12 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
         return (_back(run, former), False) if not run.stage.edited else (None, False)
     if not finished:
         return None, False
+    problem = None if run.stage.edited else ground_again(run.problem, run.fitted)
+    if problem is not None:
+        run.say(OWN_LIGHT)
+        further = run.on_ground(problem)
+        further.go_on_at(run.fitted, all_shines=True)
+        return further, False
     for number, instead in enumerate((objective_instead, tails_instead), 1):
         if run.stage.psfs_tried >= number or (number > 1 and run.stage.edited):
             continue
@@ -89,6 +103,8 @@ def resumed(run: Run, kept: Arrays) -> Run:
     InputError
         If it belongs to another mesh or fit.
     """
+    problem = problem_in(kept, run.problem)
+    run = run if problem is run.problem else run.on_ground(problem)
     objective = objective_in(kept) if isinstance(run.fitted.optics, GaussianPSF) else None
     if objective is None:
         run.go_on_from(kept)

@@ -269,6 +269,18 @@ def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> 
     return named if alike(named, starts, np.asarray(mesh.region_ids())) else None
 
 
+def surface_shares(known: np.ndarray, grid: Grid, mesh: Mesh) -> dict[int, float]:
+    """Share of the surface of each region that lies in such voxels; known : (Z, Y, X) bool."""
+    middles = mesh.vertices_numpy()[mesh.faces].mean(1)
+    index = np.rint((middles - np.asarray(grid.origin)) / np.asarray(grid.voxel_size))
+    index = np.clip(index, 0, np.asarray(grid.shape) - 1).astype(np.int64)
+    areas, there = mesh.areas(), known[tuple(index.T)]
+    return {
+        r: float(areas[own][there[own]].sum() / max(areas[own].sum(), 1e-300))
+        for r, own in mesh.faces_by_region().items()
+    }
+
+
 def surface_voxels(mesh: Mesh, grid: Grid) -> np.ndarray:
     """(Z, Y, X) bool: voxels nearest to points on the surface that are at most 2/3 voxel apart."""
     first, size = np.asarray(grid.origin), np.asarray(grid.voxel_size)
