@@ -8,12 +8,21 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import dark_nuclei
-from napari_deltamic.fitting.dark_nuclei import RULES, _followed, _with_nuclei, around_nuclei
+from napari_deltamic.errors import InputError
+from napari_deltamic.fitting import dark_nuclei, model_choice
+from napari_deltamic.fitting.dark_nuclei import (
+    RULES,
+    _followed,
+    _with_nuclei,
+    around_nuclei,
+    with_nuclei,
+)
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.scene.effects import Background, Effects
 from napari_deltamic.scene.light import Light
+from napari_deltamic.scene.render import offset
 
 GRID = nd.Grid((32, 32, 32), (0.2, 0.2, 0.2))
 MIDDLE = np.full(3, 3.1)
@@ -31,7 +40,7 @@ def test_a_cell_gets_a_nucleus_and_a_border_further_out():
     assert cells.nuclei == {1: 2}
     held = cells.mesh.volumes()
     outer, inner = radius(held[1] + held[2]), radius(held[2])
-    assert outer == pytest.approx(2.6, abs=0.2)  # by voxels
+    assert outer == pytest.approx(2.6, abs=0.2)
     assert inner == pytest.approx(1.8, abs=0.2)
     assert cells.thickness(cells.mesh) == pytest.approx(outer - inner, rel=0.05)
     assert cells.share(cells.mesh) == pytest.approx((inner / outer) ** 3)
@@ -59,7 +68,7 @@ def test_cells_that_share_walls_keep_them():
 
 
 def test_small_cells_have_none():
-    assert _with_nuclei(sphere(MIDDLE, 0.7, edge_length=0.2), GRID, 0.4) is None
+    assert _with_nuclei(sphere(MIDDLE, 0.6, edge_length=0.2), GRID, 0.4) is None
 
 
 def test_the_light_of_cells_alone_and_of_even_ones():
@@ -79,6 +88,8 @@ SCATTER = 5.5 * (-1.0) ** np.arange(64)  # of nats by block
     [
         ([3.0, 3.0], [0.0, 0.0], True, 1),
         ([3.0, 2.9, 2.9], [-3.0, 2.0, 2.0], True, 2),  # it explained less at first, and gains
+        ([2.0, 2.5, 2.5], [-3.0, 0.5, 0.5], True, 2),  # its PSF had widened before it moved
+        ([2.0, 1.9], [0.0, 0.0], False, 1),
         ([3.0, 2.0], [1.0, 1.0], False, 1),  # around a membrane, borders come together
         ([3.6, 3.2, 2.7, 2.0], [9.0, 9.0, 9.0, 9.0], False, 3),  # however much it explains
         ([3.0, 3.0], [-40.0, -40.0], False, 0),
@@ -124,9 +135,12 @@ def test_nuclei_are_not_asked_for(given):
 
 
 @cache
-def image_of(membrane: bool) -> np.ndarray:
-    """Poisson noise on cytoplasm around a nucleus, or on a membrane around a dim inside."""
-    given = GRID, OPTICS, 1e-3, 1.0, 0.0
+def image_of(membrane: bool, width: float = 0.26) -> np.ndarray:
+    """Poisson noise on cytoplasm around a nucleus, or on a membrane around a dim inside.
+
+    width : um, of the PSF.
+    """
+    given = GRID, nd.GaussianPSF((width,) * 3), 1e-3, 1.0, 0.0
     cell = sphere(MIDDLE, 2.2, edge_length=0.25)
     even = nd.scene.expected_image(cell, *given, light=Light(0.0, 1.0))
     if membrane:
@@ -139,12 +153,18 @@ def image_of(membrane: bool) -> np.ndarray:
     return np.random.default_rng(0).poisson(photons).astype(np.float32)
 
 
-@cache
-def end_of(membrane: bool) -> nd.FitState:
+def fitted(image: np.ndarray, width: float, fit_psf: bool = True, **further) -> nd.FitState:
+    """The end of a fit."""
     begin = sphere(MIDDLE, 2.0, edge_length=0.5)
-    settings = FitSettings(structure="auto", levels=(1.0,))
-    *_, last = nd.fit(image_of(membrane), GRID, begin, OPTICS, settings=settings)
+    settings = FitSettings(structure="auto", levels=(1.0,), fit_psf=fit_psf)
+    given = image, GRID, begin, nd.GaussianPSF((width,) * 3)
+    *_, last = nd.fit(*given, settings=settings, **further)
     return last
+
+
+@cache
+def end_of(membrane: bool, width: float = 0.26) -> nd.FitState:
+    return fitted(image_of(membrane, width), width)
 
 
 def off(state: nd.FitState) -> float:
@@ -155,41 +175,79 @@ def off(state: nd.FitState) -> float:
 
 
 @pytest.mark.slow
-def test_the_border_of_cytoplasm_is_found():
-    """Both end in the middle of the layer."""
-    last = end_of(False)
+@pytest.mark.parametrize("width", [0.2, 0.22, 0.24, 0.26, 0.3])
+def test_the_border_of_cytoplasm_is_found(width):
+    """Both end in the middle of the layer, 1.4 to 1.9 voxels off."""
+    last = end_of(False, width)
     assert last.converged
     assert last.dimmed is not None
     assert last.light.membrane == 0
-    assert off(last) < 0.3
+    assert off(last) < 0.2
 
 
 @pytest.mark.slow
 def test_its_nucleus_is_in_the_rendered_image():
-    last, rendered = end_of(False), end_of(False).rendered()
-    measured = image_of(False)
+    rendered, measured = end_of(False).rendered(), image_of(False)
     core = (slice(14, 18),) * 3
+    assert measured[core].mean() < 0.5 * np.percentile(measured, 99)
     assert rendered[core].mean() == pytest.approx(measured[core].mean(), rel=0.1)
-    assert replace(last, dimmed=None).rendered()[core].mean() > 2 * rendered[core].mean()
+
+
+def test_what_effects_add_is_not_dimmed():
+    even, dimmed = np.full(GRID.shape, 30, np.float32), np.full(GRID.shape, 0.5, np.float32)
+    none = with_nuclei(even, dimmed, 10.0, Effects(), GRID)
+    np.testing.assert_allclose(none, 20)
+    tilted = Effects.of(Background(coefficients=(0.0, 0.0, 5.0)))
+    added = offset(tilted, GRID).numpy()
+    assert np.ptp(added) > 0.1
+    found = with_nuclei(even + added.astype(np.float32), dimmed, 10.0, tilted, GRID)
+    np.testing.assert_allclose(found, 20 + added, rtol=1e-5)
 
 
 @pytest.mark.slow
-def test_a_membrane_around_a_dim_inside_stays_one():
-    last = end_of(True)
+@pytest.mark.parametrize("width", [0.2, 0.26, 0.32])
+def test_a_membrane_around_a_dim_inside_stays_one(width):
+    last = fitted(image_of(True, width), 0.26)
     assert last.dimmed is None
     assert last.light.membrane > 0
     assert off(last) < 0.15
 
 
 @pytest.mark.slow
+def test_a_layer_that_stands_in_for_a_wider_psf_is_none():
+    """A PSF that is held and too narrow; taken, the surface would end 1.7 voxels off."""
+    last = fitted(image_of(True, 0.36), 0.26, fit_psf=False)
+    assert last.dimmed is None
+    assert off(last) < 0.6
+
+
+@pytest.mark.slow
 def test_a_fit_goes_on_with_its_nuclei_from_a_checkpoint(tmp_path):
     end_of(False).save(tmp_path / "kept.npz")
-    begin = sphere(MIDDLE, 2.0, edge_length=0.5)
-    settings = FitSettings(structure="auto", levels=(1.0,))
-    given = image_of(False), GRID, begin, OPTICS
-    *_, last = nd.fit(*given, settings=settings, resume=tmp_path / "kept.npz")
+    last = fitted(image_of(False), 0.26, resume=tmp_path / "kept.npz")
     np.testing.assert_array_equal(last.dimmed, end_of(False).dimmed)
-    assert off(last) < 0.3
+    assert off(last) < 0.2
+    kept = dict(np.load(tmp_path / "kept.npz"))
+    for wrong in (kept["dimmed"][1:], 0 * kept["dimmed"]):
+        np.savez(tmp_path / "damaged.npz", **{**kept, "dimmed": wrong})
+        with pytest.raises(InputError, match="nuclei are of another image"):
+            fitted(image_of(False), 0.26, resume=tmp_path / "damaged.npz")
+
+
+@pytest.mark.slow
+def test_what_may_be_cytoplasm_is_told(monkeypatch):
+    """Also where insides alone, further out, explain less."""
+    monkeypatch.setattr(model_choice, "around_nuclei", lambda *_: (None, True, 0))
+    assert fitted(image_of(True), 0.26).unsure
+
+
+def test_large_numbers_of_cells_have_nuclei():
+    large = 2**31 + 5
+    cells = _with_nuclei(
+        nd.Mesh(BALL.vertices_numpy(), BALL.faces, BALL.regions * large), GRID, 0.4
+    )
+    assert cells.nuclei == {large: large + 1}
+    assert set(cells.mesh.region_ids()) == {large, large + 1}
 
 
 def test_thresholds_of_two_borders():

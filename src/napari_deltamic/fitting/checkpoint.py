@@ -81,6 +81,11 @@ class Checkpoint:
             **self._ground(),
         }
 
+    def _are_nuclei(self, dimmed: np.ndarray) -> bool:
+        """Whether such an image, (Z, Y, X), may be what nuclei dim here."""
+        of_image = self.problem is None or dimmed.shape == self.problem.image.shape
+        return of_image and bool(((dimmed > 0) & (dimmed <= 1)).all())
+
     def _ground(self) -> Arrays:
         """Which voxels may count, if that was found anew, and how often."""
         if self.problem is None or not self.problem.anew:
@@ -110,6 +115,8 @@ class Checkpoint:
             raise InputError("the checkpoint belongs to another mesh")
         if not np.array_equal(found["levels"], np.array(self.levels)):
             raise other_settings()
+        if "dimmed" in found and not self._are_nuclei(found["dimmed"]):
+            raise InputError("the checkpoint is damaged: its nuclei are of another image")
         if "run" not in found:  # of an earlier version: its optimiser starts anew
             return replace(self, fitted=self.fitted.surface_loaded(found))
         plain: dict[str, Any] = json_values(str(found["run"]))
@@ -151,9 +158,10 @@ def problem_in(found: Arrays, given: Problem) -> Problem:
     """
     if "counted" not in found:
         return given
-    if found["counted"].shape != given.counted.shape or found["counted"].dtype != bool:
+    counted = found["counted"]
+    if counted.shape != given.counted.shape or counted.dtype != bool or "anew" not in found:
         raise InputError("the checkpoint is damaged: its voxels are of another image")
-    return with_ground(given, found["counted"], int(found["anew"]))
+    return with_ground(given, counted, int(found["anew"]))
 
 
 def former_in(found: Arrays) -> Arrays:

@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from skimage.segmentation import find_boundaries
 
-from ..errors import RepairWarning
+from ..errors import InputError, RepairWarning
 from ..geometry.labels.meshes import mesh_from_labels
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene import Grid
+from ..scene.effects import Effects
 from ..scene.light import INSIDES, Light
+from ..scene.render import offset
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
 from .level import Level
@@ -34,9 +36,8 @@ from .rival_structures import RULES as RIVALS
 from .rival_structures import begun, enough, gains_over, gone_on
 from .shape import Shape
 
-_FAINT = (
-    1e-3  # of the brightest, below which nothing is dimmed; chosen: about the rendering's error
-)
+# Of the brightest, below which nothing is dimmed; chosen: about the error of the rendering.
+_FAINT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -47,22 +48,25 @@ class DarkNucleiRules:
     ----------
     apart
         Widths of the PSF that two borders are apart, where they are seen as two: by definition the
-        full width of a Gaussian at half of its maximum. Their surfaces begin as far apart.
+        full width of a Gaussian at half of its maximum. Their surfaces begin about as far apart.
+        Measured on ten cells and crowds of cytoplasm (benchmarks.defaults): from 3, or from further
+        in, others are found, and no more.
     fewest
         Voxels of a nucleus, below which a cell has none; chosen: 3 x 3 x 3.
     legs, growing
         How often, at most, insides around nuclei are followed as far again, and the share by which
         what they explain must grow each time; chosen, as for hidden membranes.
     most
-        Share of a cell that its nucleus may be, of all cells together; chosen: few are larger, and
-        thick membranes of large cells hold less of them than that.
+        Share of a cell that its nucleus may be, of all cells together; chosen: few nuclei are
+        larger, but what the thick membrane of a large cell encloses is.
     thinner
         Share by which the layer must get thinner each time, while it does: where that ends, it is
         as thick as it is. Measured around membranes: 0.12 and more each time, down to one width.
     lost
         Errors of sums over blocks by which they explain less, at which they are given up, with
-        insides evened and as measured. Measured after twelve steps, of the better of both: 5.3
-        to -3.3 in nine cells of cytoplasm, -1.8 to -9.1 in 19 fits of membranes and insides.
+        insides evened and as measured. Measured after twelve steps with the PSF fitted, of the
+        better of both: 5.3 to -3.3 in nine cells of cytoplasm, -1.8 to -9.1 in 19 fits of membranes
+        and insides.
     darkest
         Of the cytoplasm, the least that is left of it anywhere: chosen, as what is measured there
         is divided by it.
@@ -157,9 +161,27 @@ def around_nuclei(terms: Terms, objective: Objective) -> tuple[Fitted | None, bo
     if not may:
         return None, False, taken
     gains = gains_over(rival, both)
-    if any(enough([-gain], RIVALS.errors) for gain in gains):
+    # While the PSF is held, a layer stands in for one that is wider.
+    held = not terms.settings.fit_psf
+    if held or any(enough([-gain], RIVALS.errors) for gain in gains):
         return None, True, taken
     return _alone(terms.level, rival, cells), False, taken
+
+
+def with_nuclei(
+    even: NDArray[np.float32],
+    dimmed: NDArray[np.float32] | None,
+    background: float,
+    effects: Effects,
+    grid: Grid,
+) -> NDArray[np.float32]:
+    """(Z, Y, X) the image of even insides, with what nuclei dim; what effects add is as bright."""
+    if dimmed is None:
+        return even
+    added = offset(effects, grid)
+    dark = np.float32(background) if added is None else added.numpy() + np.float32(background)
+    shown: NDArray[np.float32] = (dark + dimmed * (even - dark)).astype(np.float32)
+    return shown
 
 
 def _followed(terms: Terms, both: Objective, cells: _Cells) -> tuple[Objective, bool, int]:
@@ -173,7 +195,8 @@ def _followed(terms: Terms, both: Objective, cells: _Cells) -> tuple[Objective, 
         before, thick = thick, _thickness(rival, cells)
         gains = gains_over(rival, both)
         lost = all(enough([-gain], RULES.lost) for gain in gains)
-        if thick < RULES.apart or lost:
+        # The PSF may widen before surfaces move: then the layer looks thin, but gets thicker.
+        if lost or (thick < RULES.apart and thick <= before < np.inf):
             return rival, False, taken
         reached, least = least, min(float(gain.sum()) for gain in gains)
         sure = all(enough([gain], RIVALS.errors) for gain in gains)
@@ -193,30 +216,43 @@ def _thickness(rival: Objective, cells: _Cells) -> float:
 
 
 def _with_nuclei(mesh: Mesh, grid: Grid, away: float) -> _Cells | None:
-    """Borders so far out (um), and nuclei so far in; None if no cell is large enough for one."""
+    """Borders about so far out (um), and nuclei so far in; None if no cell is large enough for one.
+
+    Made of voxels: nuclei lie up to one further in, borders up to half of one less far out.
+    """
     size = np.asarray(grid.voxel_size)
     low, high = mesh.bounds() - np.asarray(grid.origin)
     start = np.floor((low - away) / size).astype(int) - 2
     shape = tuple((np.ceil((high + away) / size).astype(int) + 3 - start).tolist())
     origin = tuple((np.asarray(grid.origin) + start * size).tolist())
-    labels = voxel_labels(mesh, shape, grid.voxel_size, origin)
+    names = mesh.region_ids()
+    known = voxel_labels(mesh, shape, grid.voxel_size, origin)
+    labels = np.searchsorted(np.append(0, names), known)  # names may be large numbers
     depth = distance_transform_edt(~find_boundaries(labels, mode="inner"), sampling=size)
     outside, nearest = distance_transform_edt(labels == 0, sampling=size, return_indices=True)
     found = np.where(outside < away, labels[tuple(nearest)], 0)
-    nuclei, names = dict[int, int](), mesh.region_ids().tolist()
-    for cell in names:
+    cells, last = range(1, len(names) + 1), len(names)
+    table = names.tolist()
+    nuclei = dict[int, int]()
+    for cell in cells:
         nucleus = (labels == cell) & (depth > away)
         if nucleus.sum() >= RULES.fewest:
-            nuclei[cell] = max(names) + 1 + len(nuclei)
-            found[nucleus] = nuclei[cell]
-    if not nuclei:
+            last += 1
+            nuclei[cell] = last
+            found[nucleus] = last
+            table.append(int(names.max()) + last - len(names))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RepairWarning)
+            both = mesh_from_labels(found, grid.voxel_size, origin)
+    except InputError:  # all of them are too small for a mesh
         return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RepairWarning)
-        both = mesh_from_labels(found, grid.voxel_size, origin)
     kept = set(both.region_ids().tolist())
-    nuclei = {cell: nucleus for cell, nucleus in nuclei.items() if nucleus in kept}
-    return _Cells(both, nuclei) if nuclei and kept.issuperset(names) else None
+    regions = {table[k - 1]: table[n - 1] for k, n in nuclei.items() if n in kept}
+    if not regions or not kept.issuperset(cells):
+        return None
+    numbers = np.append(0, np.asarray(table, np.int64))
+    return _Cells(Mesh(both.vertices_numpy(), both.faces, numbers[both.regions]), regions)
 
 
 def _alone(level: Level, rival: Objective, cells: _Cells) -> Fitted:

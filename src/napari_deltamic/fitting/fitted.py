@@ -130,6 +130,8 @@ class Fitted:
         if change.pinned is not None:
             shape = shape.with_pins(change.pinned)
         found = replace(self, shape=shape.with_model(model), learnt=None)
+        if model == "uniform":  # insides are taken to be even
+            found = replace(found, dimmed=None)
         if change.optics is not None:
             held = change.optics.detach()
             found = replace(found, optics=held, first_optics=held)

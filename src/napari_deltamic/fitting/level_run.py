@@ -305,6 +305,7 @@ class LevelRun:
         if at.choice.is_open(at.fitted) and at.stage.progress.answered:
             given = self.terms, self.objective, self._context.factored
             unsure, taken = insides_may_do(*given)
+            unsure |= at.stage.progress.unsure  # of dark nuclei
             self.at = at.spent(taken).progressed(replace(at.stage.progress, unsure=unsure))
 
     def _go_on_elsewhere(self, before: Mesh) -> None:

@@ -94,11 +94,7 @@ class FitState:
 
     def rendered(self) -> np.ndarray:
         """(Z, Y, X) float32: what the microscope would show of this state; computed when asked."""
-        even = self._render()
-        if self.dimmed is None:
-            return even
-        dark = np.float32(self.background)
-        return dark + self.dimmed * (even - dark)
+        return self._render()
 
     def save(self, path: str | Path) -> None:
         """Write a checkpoint that ``fit(..., resume=path)`` goes on from."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..geometry.mesh import FloatArray
 from ..scene import Grid, expected_image
+from .dark_nuclei import with_nuclei
 from .fitted import Arrays, Fitted
 from .likelihood import Match
 from .stage import Stage
@@ -43,7 +44,8 @@ def state_of(
 
     def rendered() -> np.ndarray:
         given = fitted.mesh, grid, fitted.optics, accuracy, found.amplitude, found.background
-        return expected_image(*given, density=density, effects=fitted.effects, light=fitted.light)
+        image = expected_image(*given, density=density, effects=fitted.effects, light=fitted.light)
+        return with_nuclei(image, fitted.dimmed, found.background, fitted.effects, grid)
 
     return FitState(
         iteration=stage.iteration,

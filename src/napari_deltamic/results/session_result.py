@@ -15,6 +15,7 @@ from ..common.reading import toml_values
 from ..common.triple import triple
 from ..errors import InputError
 from ..fitting import FitState
+from ..fitting.dark_nuclei import with_nuclei
 from ..fitting.job import optics_of
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter
 from ..optics import GaussianPSF, Optics
@@ -148,7 +149,7 @@ def _with_images(state: FitState, grid: Grid, settings: RunSettings) -> FitState
     """The state, able to render itself as it was during the fit."""
 
     def rendered() -> NDArray[np.float32]:
-        return expected_image(
+        even = expected_image(
             state.mesh,
             grid,
             state.optics,
@@ -159,6 +160,7 @@ def _with_images(state: FitState, grid: Grid, settings: RunSettings) -> FitState
             effects=state.effects,
             light=state.light,
         )
+        return with_nuclei(even, state.dimmed, state.background, state.effects, grid)
 
     return replace(state, _render=rendered)
 

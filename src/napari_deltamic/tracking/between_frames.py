@@ -26,6 +26,11 @@ from .result import Event, FrameResult
 from .track_rules import RULES
 
 
+def structure_of_next(state: FitState) -> str:
+    """What shines in the frames after one; empty around dark nuclei, which each has to find."""
+    return "" if state.dimmed is not None else structure_of(state.light)
+
+
 class BetweenFrames:
     """Mesh, PSF, cells and their motion after the last good frame; the seeds before the first.
 
@@ -77,7 +82,7 @@ class BetweenFrames:
         self._see(frame.number, mesh, events)
         if (self.state is None and not self.done) or type(state.optics) is not type(self.optics):
             self.optics = state.optics
-        self.state, self.structure = state, self.structure or structure_of(state.light)
+        self.state, self.structure = state, self.structure or structure_of_next(state)
         self.edge = mesh.median_edge() if self.edge == 0 else self.edge
 
     def two_new_cells(self) -> tuple[int, int]:

@@ -23,9 +23,8 @@ from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..runs.track_run import TrackSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
-from ..scene.light import structure_of
 from .alarms import alarms, gone, looks
-from .between_frames import BetweenFrames
+from .between_frames import BetweenFrames, structure_of_next
 from .divisions import Residual, are_daughters, explains, has_folded, proposals
 from .frames import Frame, check_series, numbered
 from .motion import Start, starts
@@ -176,7 +175,7 @@ class _Tracker:
         result = FrameResult(
             frame.number, when, mesh, state.message, tuple(events), state.loss,
             state.iteration, time.monotonic() - began, state.optics.sigma_um,
-            tuple(state.optics.parameters().detach().tolist()), structure_of(state.light),
+            tuple(state.optics.parameters().detach().tolist()), structure_of_next(state),
             state.moving,
         )  # fmt: skip
         yield TrackState(frame.number, mesh, done=result, last_fit=state)
