@@ -412,6 +412,7 @@ def test_a_confocal_fit_begins_anew_where_it_is_much_aberrated(monkeypatch, sphe
     run = SimpleNamespace(
         let_former_go=lambda: None,
         stage=SimpleNamespace(edited=False, psfs_tried=0),
+        problem=SimpleNamespace(foreign=None),
         terms=terms,
         fitted=fitted,
         objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),

@@ -164,6 +164,7 @@ def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
         run = SimpleNamespace(
             let_former_go=lambda: None,
             stage=SimpleNamespace(edited=False, psfs_tried=tried),
+            problem=SimpleNamespace(foreign=None),
             terms=None,
             fitted=SimpleNamespace(),
             objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),

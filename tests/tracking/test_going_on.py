@@ -13,9 +13,9 @@ from napari_deltamic import GaussianPSF
 from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.scene.effects import Effects
-from napari_deltamic.scene.light import MEMBRANES
+from napari_deltamic.scene.light import INSIDES, MEMBRANES
 from napari_deltamic.tracking import TrackSettings, track
-from napari_deltamic.tracking.between_frames import BetweenFrames
+from napari_deltamic.tracking.between_frames import BetweenFrames, structure_of_next
 from napari_deltamic.tracking.frames import Frame
 
 module = importlib.import_module("napari_deltamic.tracking.track")
@@ -72,7 +72,7 @@ def test_the_psf_of_the_first_frame_stays_and_that_of_an_objective_takes_over():
     found += [confocal_of((0.3, 0.11, 0.11)), confocal_of((0.4, 0.12, 0.12))]
     kept = []
     for number, optics in enumerate(found):
-        state = SimpleNamespace(optics=optics, loss=0.1, light=MEMBRANES)
+        state = SimpleNamespace(optics=optics, loss=0.1, light=MEMBRANES, dimmed=None)
         past.take(Frame.of(number, np.ones(GRID.shape), GRID), state, ball(), [])
         kept.append(found.index(past.optics))
     assert kept == [0, 0, 2, 2]
@@ -154,3 +154,10 @@ def test_going_on_knows_the_psf_that_a_fit_found(made):
     past = BetweenFrames(GRID, ball(), OPTICS, first=0)
     past.resume([replace(done[0], psf=(0.1,))], NEAR)
     assert past.optics is OPTICS
+
+
+@pytest.mark.parametrize(("dimmed", "next_one"), [(None, "interior"), (np.ones(1), "")])
+def test_frames_after_one_with_dark_nuclei_ask_for_them(dimmed, next_one):
+    """Insides alone would be fitted without nuclei, off by ten times as much as they are."""
+    state = SimpleNamespace(light=INSIDES, dimmed=dimmed)
+    assert structure_of_next(state) == next_one
