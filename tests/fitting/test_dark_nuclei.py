@@ -113,20 +113,28 @@ def test_a_layer_stays_as_thick_as_it_is(monkeypatch, thick, gains, is_layer, le
     monkeypatch.setattr(dark_nuclei, "gains_over", lambda one, _: 2 * [gains[one.leg] + SCATTER])
     found, layer, taken = _followed(None, SimpleNamespace(fitted=fitted), cells)
     assert (layer, found.leg, taken) == (is_layer, legs, legs + 1)
-    cells.share = lambda _: 0.6  # nothing is left of a cell but its nucleus
+    cells.share = lambda _: 0.45  # nothing is left of a cell but its nucleus
     assert not _followed(None, SimpleNamespace(fitted=fitted), cells)[1]
 
 
 @pytest.mark.parametrize(
-    "given", [{"second": object()}, {"density": "uniform"}, {"interior": -0.1}, {"pinned": True}]
+    "given",
+    [
+        {"second": object()},
+        {"density": "uniform"},
+        {"interior": -0.1},
+        {"pinned": True},
+        {"optics": nd.ScalarPSF(1.2, 0.6, 1.33)},
+    ],
 )
 def test_nuclei_are_not_asked_for(given):
     settings = SimpleNamespace(density=given.get("density", "smooth"))
     terms = SimpleNamespace(second=given.get("second"), settings=settings)
     light = SimpleNamespace(interior=given.get("interior", 0.5))
     shape = SimpleNamespace(pinned=np.array([given.get("pinned", False)]))
+    optics = given.get("optics", OPTICS)
     objective = SimpleNamespace(
-        fitted=SimpleNamespace(shape=shape), now=SimpleNamespace(light=light)
+        fitted=SimpleNamespace(shape=shape, optics=optics), now=SimpleNamespace(light=light)
     )
     assert around_nuclei(terms, objective) == (None, False, 0)
 
