@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from ..geometry.mesh import FloatArray
 from ..geometry.vectors import lengths
 from .lbfgs import Learnt, Memory, dot
+from .limits import Limits
 from .metric import Metric
 from .posterior import Evaluation, Posterior
 from .variables import Variables
@@ -28,8 +29,6 @@ _LONGEST = 1e6  # widths: a step longer than this is shortened as a whole before
 _HELD = 0.1  # of its step that guard or bounds take from a vertex which counts as held back
 _SHORTER = 6  # times that a step is shortened before the past is forgotten
 
-Limit = Callable[[Variables, Variables], Variables]
-
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
@@ -45,31 +44,39 @@ class Descent:
 
     Parameters
     ----------
+    posterior, at
+        An objective, and where to begin.
     metric
         See :class:`Metric`.
     width
         um: of the blurred PSF.
-    limit
-        ``limit(start, end)``: as near to the end as guards and bounds allow.
+    limits
+        Of each step.
     learnt
         What is known from before, of the same unknowns.
+
+    Attributes
+    ----------
+    at, now
+        Where it is, and the objective there.
     """
 
     def __init__(
-        self, metric: Metric, width: float, limit: Limit, learnt: Learnt | None = None
+        self,
+        posterior: Posterior,
+        at: Variables,
+        metric: Metric,
+        width: float,
+        limits: Limits,
+        learnt: Learnt | None = None,
     ) -> None:
-        self._metric, self._width, self._limit = metric, width, limit
-        self._memory = Memory(self._guess, metric.first_scale, learnt)
-        self._evaluations = 0
-        self._ahead: tuple[Evaluation, Variables] | None = None  # asked for twice
-
-    def begin(self, posterior: Posterior, at: Variables) -> None:
-        """Go down an objective from here."""
-        self._posterior = posterior
+        self._posterior, self._width, self._limits = posterior, width, limits
         self.at, self.now = at, posterior(at)
-        insides = posterior.insides_curvature(at, self.now)
-        self._metric.measure(posterior.imaging_curvature(at), insides)
-        self._evaluations += 1
+        metric.measure(posterior.imaging_curvature(at), posterior.insides_curvature(at, self.now))
+        self._guess = partial(_solved, metric, at)
+        self._memory = Memory(self._guess, metric.first_scale, learnt)
+        self._evaluations = 1
+        self._ahead: tuple[Evaluation, Variables] | None = None  # asked for twice
 
     def learnt(self) -> Learnt:
         """What another descent of the same unknowns may begin with."""
@@ -83,9 +90,6 @@ class Descent:
     def _evaluated(self, at: Variables) -> Evaluation:
         self._evaluations += 1
         return self._posterior(at)
-
-    def _guess(self, gradient: FloatArray, scale: float) -> FloatArray:
-        return self._metric.solve(self.at.with_flat(gradient), scale).flat()
 
     def step(self) -> bool:
         """Go one step down; False where none is found."""
@@ -141,7 +145,7 @@ class Descent:
         return self._cut(self.at.with_flat(share * whole))
 
     def _cut(self, step: Variables) -> _Cut:
-        end = self._limit(self.at, self.at.with_flat(self.at.flat() + step.flat()))
+        end = self._limits.within(self.at, self.at.with_flat(self.at.flat() + step.flat()))
         slope = dot(self.now.gradient.flat(), end.flat() - self.at.flat())
         return _Cut(step, end, slope)
 
@@ -165,7 +169,7 @@ class Descent:
             curved = 2 * (gain - predicted)
             better = -predicted / curved if np.isfinite(curved) and curved > 0 else _LEAST_CUT
             share *= float(np.clip(better, _LEAST_CUT, _MOST_KEPT))
-            trial = self._limit(self.at, self.at.with_flat(start + share * direction))
+            trial = self._limits.within(self.at, self.at.with_flat(start + share * direction))
         return False
 
     def _capped(self, step: Variables) -> Variables:
@@ -183,3 +187,7 @@ class Descent:
             step.optics / max(rest, 1.0),
             step.effects / max(rest, 1.0),
         )
+
+
+def _solved(metric: Metric, like: Variables, gradient: FloatArray, scale: float) -> FloatArray:
+    return metric.solve(like.with_flat(gradient), scale).flat()

@@ -11,6 +11,7 @@ from statistics import median
 import numpy as np
 from torch import Tensor
 
+from ..common.freed_memory import SPARE
 from ..geometry.mesh import FloatArray
 from ..geometry.vectors import lengths
 from ..runs.settings import FitSettings
@@ -26,6 +27,7 @@ from .fitted import Fitted
 from .imaging import Imaging
 from .level import Level
 from .likelihood import total
+from .limits import Limits
 from .metric import Metric
 from .noise_blur import is_sharpened
 from .pose import pose
@@ -36,8 +38,6 @@ from .prediction import View, as_floats
 from .schedule import Schedule
 from .structure_choice import Chosen, chosen
 from .tempering import block_sums
-from .unequal_insides import Insides
-from .variables import Variables
 
 _STRAYED = 0.97  # of as far as vertices may go: only rounding and the guard keep it from all of it
 
@@ -109,6 +109,7 @@ class Objective:
             free,
             level.range,
         )
+        SPARE.give_back()
         self.posed = pose(
             (level, terms.second),
             fitted.shape,
@@ -126,9 +127,11 @@ class Objective:
         self._patches = Patches(fitted.mesh, min(self.fitted.optics.sigma_um))
         learnt = fitted.learnt
         known = learnt if learnt and learnt.fits(len(self.posed.at.flat())) else None
-        self._descent = Descent(self._metric(factored), level.width, self._limited, known)
-        self._descent.begin(self.posed.posterior, self.posed.at)
-        self._passed = deque([self.posed.at.vertices], maxlen=terms.schedule.window + 1)
+        at = self.posed.at
+        limits = Limits(at.vertices, self._farthest, self._imaging, guard)
+        metric = self._metric(factored)
+        self._descent = Descent(self.posed.posterior, at, metric, level.width, limits, known)
+        self._passed = deque([at.vertices], maxlen=terms.schedule.window + 1)
         self.fitted = self.fitted.shining(self.now.light)
         self._varies: tuple[Evaluation, tuple[float, float]] | None = None
 
@@ -143,19 +146,6 @@ class Objective:
             level.width,
             NEAR_JUNCTIONS if level.factor == 1 else 1.0,
             self.terms.density_fitted,
-        )
-
-    def _limited(self, start: Variables, end: Variables) -> Variables:
-        """As near to the end as guard and bounds allow, where voxels count."""
-        from_here = self.posed.at.vertices
-        away = end.vertices - from_here
-        far = lengths(away)[:, None] / self._farthest
-        vertices = from_here + away / np.maximum(far, 1.0)
-        return Variables(
-            self._guard.limited(start.vertices, vertices),
-            np.clip(end.density, -DENSITY.limit, DENSITY.limit),
-            Insides.bounded(end.insides),
-            *self._imaging.bounded(end.optics, end.effects),
         )
 
     @property

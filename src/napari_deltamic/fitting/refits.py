@@ -15,17 +15,15 @@ import numpy as np
 import torch
 
 from ..geometry.mesh import FloatArray
-from ..geometry.vectors import lengths
 from ..runs.settings import FitSettings
 from .descent import Descent
 from .lbfgs import Learnt
+from .limits import Limits
 from .metric import Metric
 from .posed import Posed
 from .preconditioner import NEAR_JUNCTIONS, Preconditioners
 from .prediction import as_floats
 from .shape import Shape
-from .unequal_insides import Insides
-from .variables import Variables
 
 
 @dataclass(frozen=True)
@@ -219,8 +217,10 @@ class Refits:
     def _refitted(self, added: FloatArray) -> _Ended:
         view = self._posterior.views[0]
         measured = view.voxels.measured + torch.from_numpy(added).to(view.voxels.measured)
-        descent = Descent(self._metric, self._width, self._limited, self._learnt)
-        descent.begin(self._posterior.with_measured(measured), self._at)
+        posterior = self._posterior.with_measured(measured)
+        limits = Limits(self._at.vertices, self._width, self._posterior.prior.imaging)
+        learnt = self._learnt
+        descent = Descent(posterior, self._at, self._metric, self._width, limits, learnt)
         for _ in range(RULES.steps):
             if not descent.step():
                 break
@@ -228,13 +228,3 @@ class Refits:
         found = descent.now.match
         seen = found.amplitude * as_floats(view.voxels.of(descent.now.rendered)) + found.background
         return _Ended(descent.at.vertices - self._at.vertices, seen - self._seen)
-
-    def _limited(self, start: Variables, end: Variables) -> Variables:
-        away = end.vertices - self._at.vertices
-        far = lengths(away)[:, None] / self._width
-        return Variables(
-            self._at.vertices + away / np.maximum(far, 1.0),
-            end.density,
-            Insides.bounded(end.insides),
-            *self._posterior.prior.imaging.bounded(end.optics, end.effects),
-        )

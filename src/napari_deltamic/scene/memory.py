@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import re
 import sys
-from contextlib import suppress
 from pathlib import Path
+
+from ..common.freed_memory import give_back
 
 
 class Peak:
@@ -23,7 +23,7 @@ class Peak:
 
     def __enter__(self) -> Peak:
         if sys.platform.startswith("linux"):
-            _give_back()
+            give_back()
             try:
                 Path("/proc/self/clear_refs").write_text("5")
                 self._before = _resident("VmHWM")
@@ -43,8 +43,3 @@ def _resident(name: str) -> int | None:
     except OSError:
         return None
     return 1024 * int(found[1]) if found else None
-
-
-def _give_back() -> None:
-    with suppress(OSError, AttributeError):  # another C library
-        ctypes.CDLL(None).malloc_trim(0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from functools import partial
 
 import numpy as np
 import torch
@@ -96,7 +97,7 @@ class Renderer:
             method,
             optics.diagonal,
             optics.cutoff(blur),
-            lambda axes: self._formation.otf(optics, axes),
+            partial(self._formation.otf, optics),  # not of this renderer, which would never go
             _STRETCH if margin > 0 else 1.0,
             for_objects(self.device),
             plan,
