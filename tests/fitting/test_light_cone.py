@@ -23,6 +23,7 @@ from napari_deltamic.fitting.light_cone import (
     spherical_of,
     widefield_of,
 )
+from napari_deltamic.fitting.rival_structures import RULES as RIVALS
 from napari_deltamic.fitting.rival_structures import gone_on, stepped
 from napari_deltamic.fitting.successor import BACK, NARROW, is_given_up, successor
 from napari_deltamic.fitting.topology_trials import TopologyTrials
@@ -143,6 +144,8 @@ def test_a_rival_that_does_not_move_is_left():
     posed = []
 
     class Stuck:
+        terms = SimpleNamespace(watch=lambda: None)
+
         def __init__(self):
             posed.append(self)
 
@@ -540,9 +543,11 @@ def test_no_wavelength_is_longer_than_that_of_light():
 
 
 def test_a_rival_is_dropped_before_it_is_posed_anew():
-    posed, looks = [], []
+    posed, looks, watched = [], [], []
 
     class Slow:
+        terms = SimpleNamespace(watch=lambda: watched.append(None))
+
         def __init__(self):
             posed.append(self)
 
@@ -565,5 +570,7 @@ def test_a_rival_is_dropped_before_it_is_posed_anew():
     objective, taken = stepped(Slow(), hopeless)
     assert (objective, looks) == (posed[0], [posed[0], posed[0]])
     assert (taken, len(posed)) == (6, 1)
+    watched.clear()
     objective, taken = gone_on(Slow())  # to the end, where it is posed anew
+    assert len(watched) == RIVALS.steps
     assert (objective, taken, len(posed)) == (posed[-1], 18, 4)

@@ -198,6 +198,24 @@ def test_membranes_come_back_where_labels_reached_out_too_far(light, name):
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
 
 
+def test_who_watches_is_told_of_a_comparison_and_may_end_the_fit():
+    """Membranes and insides are compared where a fit of insides is at rest."""
+
+    class Stopped(Exception):
+        pass
+
+    def stop():
+        raise Stopped
+
+    start = cell().with_vertices(MIDDLE + (cell().vertices_numpy() - MIDDLE) * 1.1)
+    settings = FitSettings(structure="auto", levels=(1.0,))
+    states = nd.fit(image_of(INSIDES), GRID, start, OPTICS, settings=settings, watch=stop)
+    seen = []
+    with pytest.raises(Stopped):
+        seen += (state.iteration for state in states)
+    assert not seen or seen[-1] > 5
+
+
 @pytest.mark.slow
 def test_membranes_come_back_from_the_start(monkeypatch):
     """With other triangles than the fit had come to."""

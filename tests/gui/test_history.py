@@ -1,6 +1,7 @@
 """Earlier moments of a fit, undo, what is left of it, and its images."""
 
 import threading
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -150,7 +151,7 @@ def test_a_step_that_takes_long_is_told_instead_of_a_time_that_stands_still(
 ):
     gate, states, text = threading.Event(), worker.start, seeded.footer.message.text
 
-    def slow(job):
+    def slow(job, watch):
         for k, state in enumerate(states(job)):
             assert k != 4 or gate.wait(20)
             yield state
@@ -164,6 +165,27 @@ def test_a_step_that_takes_long_is_told_instead_of_a_time_that_stands_still(
     spin(lambda: "takes longer" not in text())
     seeded.stop()
     spin(lambda: not seeded.doc.run.running)
+
+
+def test_a_comparison_of_models_is_told_and_can_be_stopped(seeded, spin, monkeypatch):
+    states, text = worker.start, seeded.footer.message.text
+
+    def comparing(job, watch):
+        for k, state in enumerate(states(job)):
+            while k == 2:  # it yields no state
+                time.sleep(0.01)
+                watch()
+            yield state
+
+    monkeypatch.setattr(worker, "start", comparing)
+    monkeypatch.setattr(footer, "_LONG", 0.2)
+    monkeypatch.setattr(footer, "_USUAL", 0.0)
+    seeded.start()
+    spin(lambda: text() == "comparing other models: 1 s so far; 2 iterations")
+    seeded.stop()
+    spin(lambda: not seeded.doc.run.running)
+    assert seeded.running.verdict.text().startswith("stopped")
+    assert seeded.doc.result.state.iteration == 2
 
 
 def test_iterations_that_all_take_long_are_no_longer_step(begun, spin):

@@ -48,12 +48,12 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         check_second_view(job.settings.scene)
         doubts = tell_doubts(job)
         _tell_outlook(job, notes)
-        states = start(job, arguments.resume)
+        course = _Run(job, folder, notes, auto, arguments.residual)
+        states = start(job, arguments.resume, course.comparing)
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error
     with own_folder(folder):
         notes.release()
-        course = _Run(job, folder, notes, auto, arguments.residual)
         course.further["sanity"] = [asdict(doubt) for doubt in doubts]
         return course.complete(states)
 
@@ -87,6 +87,7 @@ class _Run:
         self.last: FitState | None = None
         self.started = time.monotonic()
         self.has_settings = self.has_results = False  # whether the folder has them
+        self._bar: Bar | None = None
 
     def complete(self, states: Iterator[FitState]) -> int:
         """Drive the fit to its end, or to that of the user's patience, and write the results."""
@@ -137,13 +138,19 @@ class _Run:
         self._take_over(with_recommended(self.job, found))
         self.history = History()
         self.last = replace(self.last, message="")  # its verdict is not that of what comes
-        return start(self.job)
+        return start(self.job, watch=self.comparing)
+
+    def comparing(self) -> None:
+        """Tell that the fit compares models, and makes no iteration meanwhile."""
+        if self._bar is not None:
+            self._bar.tell("comparing models")
 
     def _follow(self, states: Iterator[FitState]) -> None:
         saved = time.monotonic()
         terminal = sys.stderr.isatty()
         # How many iterations a fit takes is not known, so there is no share and no time left.
         with Bar(unit="it", file=sys.stderr, mininterval=0.2 if terminal else 10.0) as bar:
+            self._bar = bar
             for state in states:
                 if self.last is not None and self.last.message:
                     self.notes.add(self.last.message)

@@ -6,6 +6,7 @@ import io
 import logging
 import os
 import sys
+import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -96,3 +97,11 @@ class Bar(tqdm):  # type: ignore[misc]
     """A progress bar without the thread that watches over progress bars."""
 
     monitor_interval = 0
+    _told = 0.0  # s: when it last said what is done meanwhile
+
+    def tell(self, text: str) -> None:
+        """Say what is done meanwhile, as often as it says how far it is."""
+        self.set_description_str(text, refresh=False)
+        if time.monotonic() - self._told >= self.mininterval:
+            self.refresh()
+            self._told = time.monotonic()

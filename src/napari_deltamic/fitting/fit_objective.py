@@ -38,6 +38,7 @@ from .prediction import View, as_floats
 from .schedule import Schedule
 from .structure_choice import Chosen, chosen
 from .tempering import block_sums
+from .watch import Watch, unwatched
 
 _STRAYED = 0.97  # of as far as vertices may go: only rounding and the guard keep it from all of it
 
@@ -56,6 +57,8 @@ class Terms:
         Whether densities are unknowns; whether PSF and effects may be.
     last
         Whether it is the last level.
+    watch
+        See :func:`~.fit.fit`.
     """
 
     level: Level
@@ -65,6 +68,7 @@ class Terms:
     density_fitted: bool
     imaging_fitted: bool
     last: bool
+    watch: Watch = unwatched
 
 
 class Objective:

@@ -24,6 +24,7 @@ from .default_accuracy import image_noise
 from .found_psf import settings_of
 from .shape_dial import Situation, dialled, with_edges
 from .voxel_ownership import counted_around
+from .watch import Watch, unwatched
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +141,9 @@ def assemble(
     return FitInput(*given, predicted=wanted.predicted)
 
 
-def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]:
+def start(
+    job: FitInput, resume: str | Path | None = None, watch: Watch = unwatched
+) -> Iterator[FitState]:
     """Start the fit; see :func:`napari_deltamic.fit`."""
     return fit(
         job.image,
@@ -153,4 +156,5 @@ def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]
         second=job.second,
         resume=resume,
         counted_may_change=True,
+        watch=watch,
     )

@@ -149,6 +149,7 @@ class LevelRun:
             at.choice.density_fitted(at.fitted, at.stage),
             not at.choice.first(at.stage),
             at.last,
+            self._context.watch,
         )
 
     def posed(self, views: Sequence[View] = ()) -> Objective:

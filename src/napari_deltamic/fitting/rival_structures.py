@@ -368,6 +368,7 @@ def stepped(
     if hopeless(objective):
         return objective, objective.evaluations()
     for step in range(1, RULES.steps + 1):
+        objective.terms.watch()
         moved, since = objective.step(), since + 1
         if step == RULES.steps or (not moved and since == 1):  # posed anew, it would not move
             break

@@ -22,6 +22,7 @@ from .stage import Stage
 from .state import FitState
 from .successor import is_given_up, successor
 from .surface_upkeep import SurfaceUpkeep
+from .watch import Watch, unwatched
 
 
 class Run:
@@ -39,6 +40,8 @@ class Run:
         Where counts go on from; None at the very start.
     former
         A run at its end, which goes on if it explains more than this one does at its own.
+    watch
+        See :func:`~.fit.fit`.
     """
 
     def __init__(
@@ -50,6 +53,7 @@ class Run:
         effects: Effects,
         stage: Stage | None = None,
         former: Run | None = None,
+        watch: Watch = unwatched,
     ) -> None:
         levels = settings.levels or WIDE_LEVELS
         settings = settings.model_copy(update={"levels": levels})
@@ -59,7 +63,7 @@ class Run:
         fitted = Fitted.begun(mesh, optics, effects, model, settings.structure)
         self._start, self._former = fingerprint(mesh), former
         upkeep = SurfaceUpkeep(problem, mesh, min(optics.sigma_um), settings.collisions)
-        self._context = RunContext(problem, upkeep, Reporter(mesh), fitted.shape)
+        self._context = RunContext(problem, upkeep, Reporter(mesh), fitted.shape, watch)
         stage = stage or Stage(0, fitted.optics)
         self._level = LevelRun(self._context, Position(fitted, stage, settings))
         self._kept: Arrays = {}
@@ -171,13 +175,14 @@ class Run:
         """A run from the same start with another PSF; former : what it is held against."""
         begun, effects = self._context.begun.mesh, self.fitted.first_effects
         given = begun, optics, self._level.at.settings, effects
-        return Run(self._context.problem, *given, self.stage.begun_anew(optics), former)
+        stage, watch = self.stage.begun_anew(optics), self._context.watch
+        return Run(self._context.problem, *given, stage, former, watch)
 
     def on_ground(self, problem: Problem) -> Run:
         """A run from the same start with other voxels that count."""
         optics, effects = self.fitted.first_optics, self.fitted.first_effects
         given = self._context.begun.mesh, optics, self._level.at.settings, effects
-        return Run(problem, *given, self.stage.begun_anew(optics))
+        return Run(problem, *given, self.stage.begun_anew(optics), watch=self._context.watch)
 
     def go_on_at(self, fitted: Fitted, all_shines: bool) -> None:
         """Begin at the last level, where another fit has ended.

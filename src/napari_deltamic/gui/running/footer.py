@@ -93,9 +93,9 @@ class Footer(QWidget):
         elif isinstance(task, FitRun):
             waited = time.monotonic() - self._since
             if self._iterations and waited > self._long and not task.paused:
-                # It compares what else may shine, or other PSFs, and tells of no iteration then.
+                doing = "the next step takes longer" if task.stage == "fitting" else task.stage
                 so_far = f"{waited:.0f} s so far; {counted(self._iterations, 'iteration')}"
-                self.message.say(f"the next step takes longer: {so_far}")
+                self.message.say(f"{doing}: {so_far}")
         elif task is not None:
             self.message.say(f"{task.stage} ...")
             if task.share is not None:

@@ -156,7 +156,7 @@ class FitRun(Task):
 
     def _fit(self, job: FitInput) -> Generator[None]:
         began, waited = time.monotonic(), 0.0
-        states: Any = start(job)
+        states: Any = start(job, watch=self._watched)
         state, change = next(states, None), None
         while state is not None:
             self.reached = state, self._changes  # both at once: the main thread looks whenever
@@ -182,6 +182,10 @@ class FitRun(Task):
                 state = None
         if self.state is not None:
             self._publish(self.state, must=True)
+
+    def _watched(self) -> None:
+        """While other models are compared, which yields no state."""
+        self.step("comparing other models")
 
     def _follow(self, state: FitState) -> None:
         """The fit may have begun anew with another kind of PSF."""

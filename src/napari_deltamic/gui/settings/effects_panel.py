@@ -206,7 +206,8 @@ def _check(
     state, job = fitted, prepare()
     yield
     if state is None:
-        for state in start(job):
+        compared = partial(question.step, "fitting: comparing other models")
+        for state in start(job, watch=compared):
             question.step(f"fitting: iteration {state.iteration}")
             yield
     assert state is not None, "a fit yields at least one state"
