@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         doubts = tell_doubts(job)
         _tell_outlook(job, notes)
         course = _Run(job, folder, notes, auto, arguments.residual)
-        states = start(job, arguments.resume, course.comparing)
+        states = start(job, arguments.resume, watch=course.comparing)
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error
     with own_folder(folder):
