@@ -48,10 +48,12 @@ class DarkNucleiRules:
     Attributes
     ----------
     apart
-        Widths of the PSF that two borders are apart, where they are seen as two: by definition the
-        full width of a Gaussian at half of its maximum. Their surfaces begin about as far apart.
-        Measured on ten cells and crowds of cytoplasm (benchmarks.defaults): from 3, or from further
-        in, others are found, and no more.
+        Widths of the PSF between two borders that are seen as two: by definition (Sparrow's
+        criterion for two Gaussians).
+    begin
+        Widths of the PSF that they are apart where they begin: the full width of a Gaussian at half
+        of its maximum. Measured on ten cells and crowds of cytoplasm (benchmarks.defaults): from 3,
+        or from further in, others are found, and no more.
     fewest
         Voxels of a nucleus, below which a cell has none; chosen: 3 x 3 x 3.
     legs, growing
@@ -74,7 +76,8 @@ class DarkNucleiRules:
         is divided by it.
     """
 
-    apart: float = 2.355
+    apart: float = 2.0
+    begin: float = 2.355
     fewest: int = 27
     legs: int = 10
     growing: float = 0.05
@@ -156,7 +159,7 @@ def around_nuclei(terms: Terms, objective: Objective) -> tuple[Fitted | None, bo
     if not asked or objective.now.light.interior <= 0 or fitted.shape.pinned.any():
         return None, False, 0
     width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
-    cells = _with_nuclei(fitted.mesh, terms.level.grid, RULES.apart / 2 * width)
+    cells = _with_nuclei(fitted.mesh, terms.level.grid, RULES.begin / 2 * width)
     if cells is None:
         return None, False, 0
     both = objective.anew()
