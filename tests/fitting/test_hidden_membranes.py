@@ -69,7 +69,7 @@ def followed(
     def gained(one, other):
         # Evened, it gains no more unless given: insides alone are too uneven.
         even = evened[one.leg] if evened else 1.0
-        return [even * np.ones(16), gains[one.leg] / 16 + SCATTER]
+        return [even * np.ones((1, 16)), (gains[one.leg] / 16 + SCATTER)[None]]
 
     monkeypatch.setattr(hidden_membranes, "gone_on", lambda one: (rival(one.leg + 1), 3))
     monkeypatch.setattr(hidden_membranes, "gains_over", gained)
@@ -171,6 +171,7 @@ def test_nor_at_once(monkeypatch, mesh, varies, stands):
         ("gone_on", (rival, 3)),
         ("moved_in", None),
         ("stand", True),
+        ("gains_over", 2 * [np.ones((1, 4))]),
         ("is_uneven", True),
         ("_followed", "followed"),
     ):
@@ -292,12 +293,12 @@ def test_membranes_alone_are_tried_in_any_case(monkeypatch, both, name):
     assert crosses[0] is None
 
 
-def membranes_alone(monkeypatch, legs, wide=0.1):
+def membranes_alone(monkeypatch, legs, wide=0.1, without_one=1.0):
     """Whether membranes alone are taken, and after how many evaluations.
 
     legs : of each, nats that they gain with insides evened and as measured, and the share of the
     squares of insides, of both and of the leg before that they leave. wide : um, of the PSF; the
-    cell has a radius of 1.
+    cell has a radius of 1. without_one : times as much that they leave without one of the cells.
     """
     optics = SimpleNamespace(sigma_um=(wide,) * 3)
     insides = SimpleNamespace(fitted=SimpleNamespace(mesh=sphere(MIDDLE, 1.0), first_optics=optics))
@@ -318,7 +319,14 @@ def membranes_alone(monkeypatch, legs, wide=0.1):
         lambda terms, one, factored: begin.append(one) or SimpleNamespace(leg=-1),
     )
     monkeypatch.setattr(hidden_membranes, "gone_on", lambda one: (rival(one.leg + 1), 7))
-    monkeypatch.setattr(hidden_membranes, "gains_over", lambda one, _: list(legs[one.leg][:2]))
+    monkeypatch.setattr(
+        hidden_membranes, "gains_over", lambda one, _: [np.atleast_2d(g) for g in legs[one.leg][:2]]
+    )
+    monkeypatch.setattr(
+        hidden_membranes,
+        "leaves_without_one",
+        lambda one, other: without_one * one.leaves_over(other),
+    )
     found, taken, surely = hidden_membranes._membranes_alone(None, insides, both, None)
     assert taken == 7 * (found.leg + 1)
     assert begin == ["small" if wide > 1 / 6 else "large"]
@@ -355,6 +363,33 @@ def test_membranes_alone_are_followed_while_they_get_better(monkeypatch):
     assert membranes_alone(monkeypatch, [(SURE, FEW, *far[2:]), near]) == (False, 0)
     small = [(SURE, SURE, 0.96, 1.2, 0.8), near]  # chromatin
     assert membranes_alone(monkeypatch, small, wide=0.18) == (False, 0)
+
+
+def of_cells(*shares):
+    """Gains of as many cells as there are shares, in proportion to them."""
+    return np.outer(shares, SURE)
+
+
+ALIKE, ONE_ALONE = of_cells(1, 1, 1, 1, 1), of_cells(0.05, -0.1, 9, 0.1, -0.05)
+
+
+@pytest.mark.parametrize(
+    ("gains", "taken"),
+    [
+        ((ALIKE, ALIKE), True),
+        ((ONE_ALONE, ALIKE), False),
+        ((ALIKE, ONE_ALONE), False),
+        ((of_cells(0.05, 9, 0.1), ALIKE[:3]), True),  # too few to leave one out
+    ],
+)
+def test_no_cell_decides_for_all(monkeypatch, gains, taken):
+    assert membranes_alone(monkeypatch, 5 * [(*gains, 0.5, 0.8, 0.7)])[0] == taken
+
+
+def test_nor_for_how_much_is_left(monkeypatch):
+    leg = ALIKE, ALIKE, 0.5, 0.8, 0.7
+    assert membranes_alone(monkeypatch, 5 * [leg], without_one=1.5)[0]
+    assert not membranes_alone(monkeypatch, 5 * [leg], without_one=1.7)[0]
 
 
 def begun_within(mesh, width):

@@ -30,11 +30,12 @@ from ..scene.light import INSIDES, Light
 from ..scene.render import offset
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
+from .gains import gains_over
 from .level import Level
 from .preconditioner import Preconditioners
 from .prediction import as_floats
 from .rival_structures import RULES as RIVALS
-from .rival_structures import begun, enough, gains_over, gone_on
+from .rival_structures import begun, enough, gone_on
 from .shape import Shape
 
 # Of the brightest, below which nothing is dimmed; chosen: about the error of the rendering.

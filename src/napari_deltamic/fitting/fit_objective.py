@@ -9,6 +9,8 @@ from math import sqrt
 from statistics import median
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ..common.freed_memory import SPARE
@@ -37,7 +39,7 @@ from .preconditioner import NEAR_JUNCTIONS, Preconditioners
 from .prediction import View, as_floats
 from .schedule import Schedule
 from .structure_choice import Chosen, chosen
-from .tempering import block_sums
+from .tempering import block_centres, block_sums
 from .watch import Watch, unwatched
 
 _STRAYED = 0.97  # of as far as vertices may go: only rounding and the guard keep it from all of it
@@ -172,19 +174,30 @@ class Objective:
         """(F,) relative to the mean."""
         return self._density.faces_numpy(self._descent.at.density)
 
-    def nats_over(self, other: Objective, evened: bool) -> FloatArray:
-        """(B,) nats by which the image is explained better than where another descent is, by block.
+    def nats_left(self, other: Objective, evened: bool) -> FloatArray:
+        """(2, B) nats that are left of the image here and where another descent is, by block.
 
         Over the voxels that count here, amplitude and background fitted for either. Blocks are
         those of the PSF that the fit began with (:mod:`.tempering`). evened : whether insides are
         as even as they are modelled here, or as they were measured.
         """
-        grid, posed = self.terms.level.grid, self.posed
-        mine, its = (posed.nats_left_by(one.now.rendered, evened) for one in (self, other))
+        index = self.posed.posterior.views[0].voxels.index.cpu().numpy()
+        left = (self.posed.nats_left_by(one.now.rendered, evened) for one in (self, other))
+        return np.stack([block_sums(as_floats(one), index, *self._blocks()) for one in left])
+
+    def cells_of_blocks(self) -> NDArray[np.int64]:
+        """(B,) the cell with the vertex nearest to each of these blocks."""
+        grid, mesh = self.terms.level.grid, self.fitted.mesh
+        centres = np.asarray(grid.origin) + block_centres(*self._blocks()) * grid.voxel_size
+        owner = np.zeros(len(mesh.vertices), np.int64)
+        owner[np.asarray(mesh.faces)] = mesh.regions.max(axis=1)[:, None]  # one of them at walls
+        return np.asarray(owner[cKDTree(mesh.vertices_numpy()).query(centres)[1]])
+
+    def _blocks(self) -> tuple[tuple[int, int, int], tuple[float, ...]]:
+        """Shape of the image, and widths of the first PSF in voxels."""
+        grid = self.terms.level.grid
         widths = self.terms.level.factor * np.asarray(self.fitted.first_optics.sigma_um)
-        index = posed.posterior.views[0].voxels.index.cpu().numpy()
-        given = index, grid.shape, tuple(widths / np.asarray(grid.voxel_size))
-        return block_sums(as_floats(its - mine), *given)
+        return grid.shape, tuple(widths / np.asarray(grid.voxel_size))
 
     def leaves_over(self, other: Objective) -> float:
         """What this leaves over what another does, as a mean over the voxels of each.

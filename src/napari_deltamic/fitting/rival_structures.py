@@ -22,6 +22,7 @@ from .amplitudes import inside_over_membrane
 from .collisions import CollisionGuard
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
+from .gains import gains_over
 from .preconditioner import Preconditioners
 from .shape import Shape
 
@@ -305,12 +306,6 @@ def _explains_more(one: Objective, other: Objective) -> bool:
     (chromatin, for a membrane).
     """
     return enough(gains_over(one, other), errors_asked(one))
-
-
-def gains_over(one: Objective, other: Objective) -> list[FloatArray]:
-    """(B,) nats per block that one gains over another: with insides evened, and as measured."""
-    either = True, False
-    return [(one.nats_over(other, even) - other.nats_over(one, even)) / 2 for even in either]
 
 
 def errors_asked(one: Objective) -> float:

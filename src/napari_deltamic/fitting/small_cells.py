@@ -14,8 +14,9 @@ from ..common.choices import DensityModel, Structure
 from ..geometry.mesh import FloatArray, Mesh
 from .fit_objective import Terms
 from .fitted import Fitted
+from .gains import gains_over
 from .preconditioner import Preconditioners
-from .rival_structures import RULES, begun, enough, gains_over, gone_on, moved_in
+from .rival_structures import RULES, begun, enough, gone_on, moved_in
 
 _ALIKE = (3 / 5) ** 0.5  # exact: of a ball and a sphere with equal second moments
 

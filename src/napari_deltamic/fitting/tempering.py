@@ -42,6 +42,13 @@ def block_sums(
     return np.asarray(np.bincount(block, values, int(np.prod(counts))), np.float64)
 
 
+def block_centres(shape: tuple[int, int, int], widths: Sequence[float]) -> FloatArray:
+    """(B, 3) voxels: the middle of each block, in the order of :func:`block_sums`."""
+    side = np.maximum(1, np.ceil(RULES.block * np.asarray(widths)))
+    counts = -(-np.asarray(shape) // side).astype(np.int64)
+    return np.asarray((np.indices(tuple(counts)).reshape(3, -1).T + 0.5) * side - 0.5)
+
+
 def tempered_variance(
     residual: FloatArray,
     index: np.ndarray,
