@@ -263,7 +263,7 @@ def test_a_cell_that_has_shrunk_does_not_make_the_others_stuck():
     settings = FitSettings(levels=(1.5, 1.0))
     last = fitted(measured(), Mesh.merge([start(), lost]), settings=settings)
     assert last.converged
-    assert last.message.startswith("converged; the surface of region 2 has shrunk to a point")
+    assert last.message.startswith("converged; cell 2 has shrunk to a point: place it anew")
     assert apart(last.mesh.region_surface(1)) < 0.05
 
 

@@ -59,7 +59,7 @@ def test_regions_that_are_only_points_are_told():
 
 def test_only_where_every_cell_is_a_point_the_fit_is_stuck():
     assert why_stuck(0.9, False, [7], 37) == ""
-    assert told_shrunken([7, 9]).startswith("the surface of region 7, 9 has shrunk to a point")
+    assert told_shrunken([7, 9]).startswith("cells 7 and 9 have shrunk to a point: place them")
     assert told_shrunken([]) == ""
     assert why_stuck(0.9, False, [1, 2], 2).startswith("stuck: the surface of region 1, 2")
     assert why_stuck(0.01, False, [], 37).startswith("stuck")

@@ -293,15 +293,17 @@ def test_membranes_alone_are_tried_in_any_case(monkeypatch, both, name):
     assert crosses[0] is None
 
 
-def membranes_alone(monkeypatch, legs, wide=0.1, without_one=1.0):
+def membranes_alone(monkeypatch, legs, wide=0.1, without_one=1.0, deep=0.1):
     """Whether membranes alone are taken, and after how many evaluations.
 
     legs : of each, nats that they gain with insides evened and as measured, and the share of the
     squares of insides, of both and of the leg before that they leave. wide : um, of the PSF; the
     cell has a radius of 1. without_one : times as much that they leave without one of the cells.
+    deep : how bright insides are deep inside.
     """
     optics = SimpleNamespace(sigma_um=(wide,) * 3)
-    insides = SimpleNamespace(fitted=SimpleNamespace(mesh=sphere(MIDDLE, 1.0), first_optics=optics))
+    known = SimpleNamespace(mesh=sphere(MIDDLE, 1.0), first_optics=optics)
+    insides = SimpleNamespace(fitted=known, deep_brightness=lambda: deep)
     both = SimpleNamespace()
 
     def rival(leg):
@@ -328,6 +330,9 @@ def membranes_alone(monkeypatch, legs, wide=0.1, without_one=1.0):
         lambda one, other: without_one * one.leaves_over(other),
     )
     found, taken, surely = hidden_membranes._membranes_alone(None, insides, both, None)
+    if found is insides:
+        assert not begin
+        return surely, None
     assert taken == 7 * (found.leg + 1)
     assert begin == ["small" if wide > 1 / 6 else "large"]
     return surely, found.leg
@@ -384,6 +389,16 @@ ALIKE, ONE_ALONE = of_cells(1, 1, 1, 1, 1), of_cells(0.05, -0.1, 9, 0.1, -0.05)
 )
 def test_no_cell_decides_for_all(monkeypatch, gains, taken):
     assert membranes_alone(monkeypatch, 5 * [(*gains, 0.5, 0.8, 0.7)])[0] == taken
+
+
+@pytest.mark.parametrize(
+    ("deep", "wide", "tried"),
+    [(None, 0.1, True), (0.9, 0.1, True), (1.1, 0.1, False), (1.1, 0.18, True)],
+)
+def test_where_depths_are_bright_there_is_no_membrane_alone(monkeypatch, deep, wide, tried):
+    """Small cells have no depths that the light of a membrane does not reach."""
+    legs = 5 * [(SURE, SURE, 0.5, 0.8, 0.7)]
+    assert membranes_alone(monkeypatch, legs, wide, deep=deep)[0] == tried
 
 
 def test_nor_for_how_much_is_left(monkeypatch):

@@ -382,10 +382,13 @@ def _step(
         return None
     word = "long" if large else "flat"
     blur = "" if ratio is None else f" and blur {ratio:.2g} times as wide along Z as across"
+    asked = f"is the step along Z too {'large' if large else 'small'}"
+    if small and voxel_size[0] < min(voxel_size[1:]):
+        asked += ", or is the order of the sizes not Z, Y, X"
     return Doubt(
         "voxel size",
         f"with voxels of {voxel_size[0]:g} um along Z everything is {word} ({longer:.2g} times as "
-        f"long along Z as across){blur}: is the step along Z too {'large' if large else 'small'}?",
+        f"long along Z as across){blur}: {asked}?",
     )
 
 

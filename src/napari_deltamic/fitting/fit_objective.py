@@ -21,7 +21,14 @@ from .amplitudes import inside_over_membrane
 from .collisions import CollisionGuard
 from .convergence import Patches, Remaining, vertex_normals
 from .deep_insides import RULES as DEEP
-from .deep_insides import UNKNOWN, Cells, cells_in_their_box, dark_insides_shown, variation
+from .deep_insides import (
+    UNKNOWN,
+    Cells,
+    cells_in_their_box,
+    dark_insides_shown,
+    deep_brightness,
+    variation,
+)
 from .density import RULES as DENSITY
 from .density import Density
 from .descent import Descent
@@ -258,11 +265,18 @@ class Objective:
         """Whether insides are darker than the medium, and the image shows that of few of them."""
         if self.now.light.interior >= 0:
             return False
-        level, fitted = self.terms.level, self.fitted
-        images = (*self._seen_and_shown(), level.counted.cpu().numpy())
-        cells = Cells(fitted.mesh, fitted.optics, level.grid)
-        shares = list(dark_insides_shown(cells, *images).values())
+        images = (*self._seen_and_shown(), self.terms.level.counted.cpu().numpy())
+        shares = list(dark_insides_shown(self._cells(), *images).values())
         return bool(shares) and median(shares) < DEEP.shown
+
+    def deep_brightness(self) -> float | None:
+        """Of the median cell, see :func:`~.deep_insides.deep_brightness`; None where unknown."""
+        counted = self.terms.level.counted.cpu().numpy()
+        found = deep_brightness(self._cells(), self._seen().detach().cpu().numpy(), counted)
+        return median(found.values()) if found else None
+
+    def _cells(self) -> Cells:
+        return Cells(self.fitted.mesh, self.fitted.optics, self.terms.level.grid)
 
     def insides_vary(self) -> tuple[float, float]:
         """By how much brightness deep inside varies, of the peak of a membrane's image.

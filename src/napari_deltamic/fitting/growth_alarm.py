@@ -7,6 +7,7 @@ from math import pi
 
 import numpy as np
 
+from ..errors import listed
 from ..geometry.mesh import Mesh
 
 
@@ -61,10 +62,11 @@ class GrowthAlarm:
         self._told |= set(grown)
         if not grown:
             return ""
-        listed = ", ".join(f"{region} ({ratio:.1f} times)" for region, ratio in grown.items())
+        cells = listed("cell", [f"{cell} ({ratio:.1f} times)" for cell, ratio in grown.items()])
+        each = "each" if len(grown) > 1 else "the"
         return (
-            f"the surface of region {listed} has grown as if it leaked into a neighbour: "
-            "give the neighbour a seed, or start with less blur"
+            f"the surface of {cells} has grown as if it leaked into a neighbour: "
+            f"give {each} neighbour a seed, or start with less blur"
         )
 
     def _growth(self, mesh: Mesh) -> dict[int, tuple[float, float]]:
@@ -108,5 +110,7 @@ def told_shrunken(points: list[int]) -> str:
     """A sentence about regions that are :func:`shrunken`; empty where none is."""
     if not points:
         return ""
-    listed = ", ".join(map(str, points))
-    return f"the surface of region {listed} has shrunk to a point: place it anew, or leave it out"
+    cells, has, it = listed("cell", points), "have", "them"
+    if len(points) == 1:
+        has, it = "has", "it"
+    return f"{cells} {has} shrunk to a point: place {it} anew, or leave {it} out"

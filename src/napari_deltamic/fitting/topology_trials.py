@@ -158,8 +158,9 @@ def _undecided(places: Sequence[ThinPlace]) -> tuple[str, ...]:
     """One sentence that names the first places, if there are any."""
     told = []
     for place in places[:_TOLD]:
-        cells = listed("cell", [r for r in sorted({*place.regions, *place.sides}) if r])
+        cells = [r for r in sorted({*place.regions, *place.sides}) if r]
+        meet = "meet" if len(cells) > 1 else "meets itself"
         z, y, x = place.points.mean(0)
-        told.append(f"how {cells} meet at ({z:.1f}, {y:.1f}, {x:.1f}) um")
+        told.append(f"how {listed('cell', cells)} {meet} at ({z:.1f}, {y:.1f}, {x:.1f}) um")
     more = f", and {len(places) - _TOLD} more" if len(places) > _TOLD else ""
     return (f"undecided: {', '.join(told)}{more}",) if told else ()
