@@ -102,6 +102,7 @@ def test_what_concerns_all(change, grade, word):
         ({"counted": 0.2}, "poor", "is its seed in the right place"),
         ({"counted": 0.92}, "good", "good"),
         ({"unseen_wall": 4}, "fair", "hardly shows its wall with cell 4: are they one cell"),
+        ({"dent": (1.0, 2.04, 3.0)}, "fair", "a thin dent reaches to (1.0, 2.0, 3.0) um: is some"),
         ({"fold": (1.0, 2.04, 3.0)}, "fair", "folded at (1.0, 2.0, 3.0) um: are these two cells"),
         ({"lit": 0.35}, "fair", "only 35% of its surface is bright"),
         ({"lit": 0.2}, "poor", "only 20% of its surface is bright"),

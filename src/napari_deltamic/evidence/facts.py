@@ -35,6 +35,8 @@ class CellFacts:
         Whether nobody said what shines, and it is too small for the image to tell.
     outgrowth
         Where a thin one ends, um, Z Y X (:func:`~.outgrowths.outgrowths`); None without one.
+    dent
+        Where a thin one ends, um, Z Y X (:func:`~.dents.dents`); None without one.
     beyond_neck
         The middle of a thick part that its start did not have, um, Z Y X
         (:func:`~.necks.beyond_necks`); None without one.
@@ -74,6 +76,7 @@ class CellFacts:
     compact: float | None = None
     small: bool = False
     outgrowth: tuple[float, float, float] | None = None
+    dent: tuple[float, float, float] | None = None
     beyond_neck: tuple[float, float, float] | None = None
     uneven: float = 0.0
     inside_share: float = 1.0

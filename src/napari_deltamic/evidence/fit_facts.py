@@ -23,6 +23,7 @@ from ..optics.narrow import narrower_than_told
 from ..scene import Grid
 from ..scene.render import offset
 from .compressed_brightness import compressed
+from .dents import dents
 from .facts import CellFacts, Facts
 from .first_sigma import first_sigma
 from .folds import folds
@@ -114,6 +115,7 @@ def _cells(
     points = shrunken(mesh, min(state.optics.sigma_um))
     share = inside_shares(state)
     grown_out = outgrowths(mesh, job.grid, state.optics)
+    dented = dents(mesh, job.grid, state.optics)
     swallowed = beyond_necks(job.mesh, mesh, job.grid, state.optics)
     folded, unseen, heights = folds(state), unseen_walls(state), _heights(mesh)
     return tuple(
@@ -127,6 +129,7 @@ def _cells(
             compact=compact.get(region),
             small=asked and hardly_wider(volumes[region], job.optics, AMPLITUDES.clearly),
             outgrowth=grown_out.get(region),
+            dent=dented.get(region),
             beyond_neck=swallowed.get(region),
             uneven=uneven.get(region, 0.0),
             inside_share=share[region],

@@ -12,6 +12,7 @@ from typing import Any
 
 from ..evidence import (
     compressed_brightness,
+    dents,
     fainter_membranes,
     necks,
     outgrowths,
@@ -90,6 +91,7 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "residual": asdict(RESIDUAL),
     "necks": asdict(necks.RULES),
     "outgrowths": asdict(outgrowths.RULES),
+    "dents": asdict(dents.RULES),
     "strays": asdict(unseeded_objects.RULES),
     "changed images": asdict(refits.RULES),
     "fainter membranes": asdict(fainter_membranes.RULES),
