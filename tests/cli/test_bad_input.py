@@ -85,6 +85,7 @@ SEEDS = {
     "no labels": (lambda d, t: saved(t / "a.npy", np.zeros(SHAPE, int)), "no labels"),
     "no integers": (lambda d, t: saved(t / "a.npy", np.zeros(SHAPE)), "integers"),
     "header": (lambda d, t: new(t / "a.csv", "a,b\n1,2\n"), "the first line must be z,y,x"),
+    "semicolons": (lambda d, t: new(t / "a.csv", "z;y;x\n1,5;2;3\n"), "separated by commas"),
     "no points": (lambda d, t: new(t / "a.csv", "z,y,x\n"), "no points"),
     "no number": (lambda d, t: new(t / "a.csv", "z,y,x\n1,2,three\n"), "line 2"),
     "point outside": (lambda d, t: new(t / "a.csv", "z,y,x\n1,2,90\n"), "outside the image"),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from functools import partial
+from math import pi
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -67,8 +68,22 @@ def fit_of(
             use = "where the fit of the PSF starts" if settings.fit.fit_psf else held
             notes.add(f"no sigma given: {_shown(scene.sigma)} um (Z Y X), {how}, is {use}")
 
-    start = partial(load_seeds, settings.seeds, settings.image)
+    def start(image: NDArray[Any], grid: Grid) -> tuple[Mesh, SeedKind, FloatArray | None]:
+        found = load_seeds(settings.seeds, settings.image, image, grid)
+        if is_auto(settings.seeds):
+            notes.add(_what_was_found(settings.seeds, found[0]))
+        return found
+
     return put_together(settings, image, grid, start, tell=tell, ground=ground)
+
+
+def _what_was_found(path: str, cells: Mesh) -> str:
+    """How many cells, of what size, and how to look for others."""
+    volumes = list(cells.volumes().values())
+    across = median((6 * v / pi) ** (1 / 3) for v in volumes)
+    number = "1 cell was found," if len(volumes) == 1 else f"{len(volumes)} cells were found, most"
+    plain = path.partition(":")[0]
+    return f"{number} about {across:.2g} um across ({plain}:12 looks for cells of about 12 um)"
 
 
 def load_seeds(

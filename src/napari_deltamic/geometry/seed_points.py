@@ -159,6 +159,8 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
     """
     rows = _rows_of(path)
     header = [field.lower() for field in rows[0]] if rows else []
+    if len(header) == 1 and any(other in header[0] for other in ";\t"):
+        raise InputError(f"{path}: columns must be separated by commas, with decimal points")
     if header not in (["z", "y", "x"], ["z", "y", "x", "radius"]):
         raise InputError(
             f"{path}: the first line must be z,y,x or z,y,x,radius; a Points layer that napari "
