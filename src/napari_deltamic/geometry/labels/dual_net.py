@@ -63,9 +63,15 @@ NETS = NetRules()
 TRIANGLES = [0, 1, 2, 0, 2, 3]  # corners: the definition of the two triangles of a quad
 
 
-def field_smoothing(size: FloatArray, spacing: float) -> float:
-    """um: how much the distance field of voxels is smoothed before nodes sample it."""
-    return max(NETS.voxels * float(size.max()), NETS.spacings * spacing)
+def field_smoothing(size: FloatArray, spacing: float, thin: bool = False) -> FloatArray:
+    """(3,) um: how much the distance field of voxels is smoothed before nodes sample it.
+
+    thin : along each axis only as much as its own voxels ask for, or slices far apart would take
+        arms that lie within them.
+    """
+    voxels = size if thin else np.full(3, size.max())
+    smoothing: FloatArray = np.maximum(NETS.voxels * voxels, NETS.spacings * spacing)
+    return smoothing
 
 
 def check_nodes(shape: FloatArray, edge: float) -> None:

@@ -16,6 +16,7 @@ from napari_deltamic.geometry.contacts import label_contacts
 from napari_deltamic.geometry.labels.label_repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
 from napari_deltamic.geometry.labels.surface_nets import closed_surface
+from napari_deltamic.geometry.labels.thin_parts import cut_off
 from napari_deltamic.geometry.labels.voxels import box_around
 from napari_deltamic.geometry.labels.whole_cells import whole_cells
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
@@ -35,6 +36,9 @@ _RIGHT = 0.5
 # Of the default edge, where a label is lost that is not a crumb; measured: of 20 balls 5 voxels
 # across 18 are lost with edges of 3 voxels, of those 6 across 2, and none with edges of 2.
 _FINER = 2 / 3
+# Edges are shortened on, by the same factor, while thin parts are cut off: to one side of a voxel,
+# as labels show nothing finer. Chosen: a finer mesh must bring back a quarter of what is cut.
+_FINEST, _BACK = 1.0, 0.25
 _LEAST_CONTACT = 9  # voxel faces between two labels that make a wall
 
 
@@ -52,8 +56,8 @@ def mesh_from_labels(
 
     Of each label the largest connected part is kept and its holes are filled; each such repair is a
     RepairWarning (see `repair_labels`), and so are labels that are left out because they are too
-    small for the edge length. Labels that touch share their walls: such a face exists once, between
-    the two. Volumes are those of the labels.
+    small for the edge length, or lack parts that are too thin for it. Labels that touch share their
+    walls: such a face exists once, between the two. Volumes are those of the labels.
 
     Parameters
     ----------
@@ -61,7 +65,7 @@ def mesh_from_labels(
     voxel_size, origin : um, Z, Y, X; origin is the centre of the first voxel.
     edge_length : um, mean length of the edges. Default: 3 times the smallest voxel side, or what
         makes about 60,000 faces of all labels, 1000 of each where they are more than 60, if that is
-        longer.
+        longer; shorter for labels with thin parts, such as arms, that it would cut off.
     gap : um; ground between labels that is narrower is divided among them. Default: as wide as the
         lines of one voxel that some segmentations leave between cells.
     shared_walls : False gives each label a surface of its own; touching ones lie on each other.
@@ -79,6 +83,8 @@ def mesh_from_labels(
     if found.too_small:
         texts = [f"label {k} is too small for edges of {found.edge:g} um" for k in found.too_small]
         warnings.warn(told(texts, found.count, "label"), RepairWarning, stacklevel=2)
+    if found.cut:
+        warnings.warn(_cut_short(found.cut), RepairWarning, stacklevel=2)
     return Mesh.merge(found.meshes)
 
 
@@ -86,13 +92,15 @@ def mesh_from_labels(
 class LabelSurfaces:
     """Of a label image: a mesh of each cluster of labels.
 
-    too_small : labels that gave none. count : of all labels. edge : um.
+    too_small : labels that gave none. count : of all labels. edge : um. cut : labels that lack thin
+    parts, and which share of them is missing.
     """
 
     meshes: list[Mesh]
     too_small: list[int]
     count: int
     edge: float
+    cut: dict[int, float]
 
 
 def surfaces_of_labels(
@@ -123,11 +131,15 @@ def surfaces_of_labels(
     if marks:
         warnings.warn(_enlarged(marks), RepairWarning, stacklevel=3)
     array = whole.astype(np.int64)
-    edge = default_edge(array, size) if edge_length is None else float(edge_length)
-    if not edge > 0:
-        raise InputError(f"edge length must be positive, not {edge:g}")
     names = np.unique(array)
     names = names[names > 0]
+    if edge_length is None:
+        area = _area(array, size)
+        edge, finest = (edge_within(size, area, len(names), n) for n in (EDGE_IN_VOXELS, _FINEST))
+    else:
+        edge = finest = float(edge_length)
+    if not edge > 0:
+        raise InputError(f"edge length must be positive, not {edge:g}")
     numbers = np.searchsorted(names, array) + 1
     numbers[array <= 0] = 0
     clusters = [np.array([k]) for k in range(1, len(names) + 1)]
@@ -135,12 +147,17 @@ def surfaces_of_labels(
         numbers = _without_gaps(numbers, size, gap)
         clusters = _touching(numbers, len(names))
     boxes = ndimage.find_objects(numbers, len(names))
-    where = _Place(size, start, edge, names, boxes)
-    made = (_made(numbers, c, where, edge_length is None) for c in clusters)
-    meshes = [mesh for mesh in made if mesh is not None]
+    where = _Place(size, start, edge, finest, names, boxes)
+    made = [_made(numbers, c, where, edge_length is None) for c in clusters]
+    meshes = [mesh for mesh, _ in made if mesh is not None]
+    shares = {
+        k: volume / float(np.count_nonzero(array == k) * size.prod())
+        for _, cut in made
+        for k, volume in cut.items()
+    }
     present = {k for mesh in meshes for k in mesh.region_ids().tolist()}
     too_small = [k for k in names.tolist() if k not in present]
-    return LabelSurfaces(meshes, too_small, len(names), edge)
+    return LabelSurfaces(meshes, too_small, len(names), edge, shares)
 
 
 def _enlarged(names: list[int]) -> str:
@@ -149,52 +166,103 @@ def _enlarged(names: list[int]) -> str:
     return f"{text}: the fit starts from {starts}"
 
 
+def _cut_short(shares: dict[int, float]) -> str:
+    share = f"{max(shares.values()):.0%}"
+    most = f"{share} of it" if len(shares) == 1 else f"up to {share} of one"
+    return f"{listed('label', list(shares))}: parts too thin for a mesh were cut off, {most}"
+
+
 def default_edge(labels: IntArray, size: FloatArray) -> float:
     """um, the edge length of a mesh of labels that is fine enough and can be fitted in minutes."""
+    return edge_within(size, _area(labels, size), len(np.unique(labels[labels > 0])))
+
+
+def _area(labels: IntArray, size: FloatArray) -> float:
+    """um^2, about, of all surfaces."""
     area = 0.0
     for axis in range(3):
         moved = np.moveaxis(labels, axis, 0)
         borders = np.count_nonzero(moved[1:] != moved[:-1])
         area += borders * float(np.prod(size) / size[axis])
-    area /= 1.5  # faces of voxels have so much more area than the smooth surface within them
-    return edge_within(size, area, len(np.unique(labels[labels > 0])))
+    return area / 1.5  # faces of voxels have so much more area than the smooth surface within them
 
 
-def edge_within(size: FloatArray, area: float, cells: int) -> float:
+def edge_within(size: FloatArray, area: float, cells: int, voxels: float = EDGE_IN_VOXELS) -> float:
     """um, the edge length for so much surface (um^2) of so many cells: fine, but not too fine."""
     most = max(MOST_FACES, MOST_FACES_EACH * cells)
     fewest = np.sqrt(area / (np.sqrt(3) / 4 * most))
-    return max(EDGE_IN_VOXELS * float(size.min()), float(fewest))
+    return max(voxels * float(size.min()), float(fewest))
 
 
 @dataclass(frozen=True)
 class _Place:
     """Where labels lie: voxel size, origin, edge length (um); name and box of each number.
 
+    finest : um, edges are never shorter.
     raised : see :func:`~.partition.partition_mesh`.
+    thin, own_edge : numbers of labels with thin parts, and the edge length of these, um.
     """
 
     size: FloatArray
     origin: FloatArray
     edge: float
+    finest: float
     names: IntArray
     boxes: list[tuple[slice, ...]]
     raised: bool = False
+    thin: tuple[int, ...] = ()
+    own_edge: float = np.inf
+
+    @property
+    def shortest(self) -> float:
+        """um, the edge length of the labels that have the shortest."""
+        return min(self.edge, self.own_edge)
+
+    def edges(self, mesh: Mesh) -> FloatArray:
+        """um, the edge length at each vertex of a mesh of numbers."""
+        length = np.full(len(mesh.vertices), self.edge)
+        length[mesh.faces[np.isin(mesh.regions, self.thin).any(axis=1)]] = self.shortest
+        return length
 
 
-def _made(numbers: IntArray, cluster: IntArray, at: _Place, may_be_finer: bool) -> Mesh | None:
-    """Mesh of labels that touch; where one is lost, with shorter edges, if it may, and raised."""
+def _made(
+    numbers: IntArray, cluster: IntArray, at: _Place, may_be_finer: bool
+) -> tuple[Mesh | None, dict[int, float]]:
+    """Mesh of labels that touch, and what of them it lacks (see :func:`~.thin_parts.cut_off`).
+
+    Where a label is lost, edges are shorter, if they may, and fields raised; where parts of labels
+    are cut off, edges of these labels become shorter.
+    """
     make = _single if len(cluster) == 1 else _cluster
     mesh = make(numbers, cluster, at)
-    lost = _lost(numbers, cluster, at, mesh)
+    lost, here = _lost(numbers, cluster, at, mesh), at
     edges = (at.edge, _FINER * at.edge) if may_be_finer else (at.edge,)
     for raised in (False, True) if len(cluster) > 1 else (False,):
         for edge in edges:
             if lost and (raised or edge != at.edge):
                 other = make(numbers, cluster, replace(at, edge=edge, raised=raised))
                 if (left := _lost(numbers, cluster, at, other)) < lost:
-                    mesh, lost = other, left
-    return mesh
+                    mesh, lost, here = other, left, replace(at, edge=edge, raised=raised)
+    if mesh is None:
+        return None, {}
+    cut = _cut(numbers, mesh, here)
+    thin = tuple((1 + np.searchsorted(at.names, list(cut))).tolist())
+    while cut and here.shortest > at.finest:
+        here = replace(here, thin=thin, own_edge=max(_FINER * here.shortest, at.finest))
+        try:
+            other = make(numbers, cluster, here)
+        except InputError:  # a grid as fine as that would not fit into memory
+            break
+        if other is None or _lost(numbers, cluster, at, other) > lost:
+            break
+        left_over = _cut(numbers, other, here)
+        if sum(left_over.values()) <= (1 - _BACK) * sum(cut.values()):
+            mesh, cut = other, left_over
+    return mesh, cut
+
+
+def _cut(numbers: IntArray, mesh: Mesh, at: _Place) -> dict[int, float]:
+    return cut_off(numbers, at.boxes, mesh, at.names, at.size, at.origin, at.edge)
 
 
 def _lost(numbers: IntArray, cluster: IntArray, at: _Place, mesh: Mesh | None) -> int:
@@ -214,7 +282,7 @@ def _single(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
     box, name = at.boxes[number - 1], int(at.names[number - 1])
     corner = at.origin + at.size * [s.start for s in box]
     cut = _whole(np.where(numbers[box] == number, numbers[box], 0), cluster)
-    surface = closed_surface(cut == number, at.size, corner, at.edge)
+    surface = closed_surface(cut == number, at.size, corner, at.shortest, bool(at.thin))
     if surface is None:
         return None
     vertices, faces = surface
@@ -231,14 +299,15 @@ def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
     cut = _whole(cut, cluster)
     try:
         corner = at.origin + at.size * [s.start for s in box]
-        mesh = partition_mesh(cut, at.size, corner, at.edge, at.raised)
+        edge, thin = at.shortest, bool(at.thin)
+        mesh = partition_mesh(cut, at.size, corner, edge, at.raised, thin)
     except TooCoarse:
         return None
     counts = np.bincount(cut.ravel(), minlength=int(cluster.max()) + 1)
     volumes = {int(k): float(counts[k] * np.prod(at.size)) for k in mesh.region_ids()}
-    mesh = with_volumes(remesh(mesh, at.edge).mesh, volumes)
-    mesh = with_volumes(remesh(mesh, at.edge, passes=2).mesh, volumes)
-    mesh = smoothed_out(mesh, at.edge)
+    mesh = with_volumes(remesh(mesh, at.edges(mesh)).mesh, volumes)
+    mesh = with_volumes(remesh(mesh, at.edges(mesh), passes=2).mesh, volumes)
+    mesh = smoothed_out(mesh, at.shortest)
     own_names = np.concatenate([[0], at.names])
     return Mesh(mesh.vertices, mesh.faces, own_names[mesh.regions])
 

@@ -48,7 +48,12 @@ class TooCoarse(InputError):
 
 
 def partition_mesh(
-    labels: IntArray, size: FloatArray, origin: FloatArray, edge: float, raised: bool = False
+    labels: IntArray,
+    size: FloatArray,
+    origin: FloatArray,
+    edge: float,
+    raised: bool = False,
+    thin: bool = False,
 ) -> Mesh:
     """Mesh of all labels (> 0) of an image; faces between two labels exist once.
 
@@ -63,13 +68,14 @@ def partition_mesh(
     edge : um, edge length wanted; the triangles are those of a grid, so remesh them.
     raised : raise each field until it is above 0 in as many voxels as its label has: smoothing
         takes all of a label that is two slices high, but draws walls between others best without.
+    thin : see :func:`~.dual_net.field_smoothing`.
 
     Raises
     ------
     InputError
         If no label is large enough for the edge length, or the grid would not fit into memory.
     """
-    spacing, nodes = _mended(labels, size, edge, raised)
+    spacing, nodes = _mended(labels, size, edge, raised, thin)
     vertices, quads, regions = dual_net(nodes.best, nodes.lead(spacing))
     if not len(quads):
         raise TooCoarse("no label is large enough for the edge length")
@@ -139,12 +145,12 @@ class _Nodes:
         return np.clip(self.first - self.next, _LEAST_LEAD, _ALONE * edge)
 
 
-def _compete(labels: IntArray, size: FloatArray, edge: float, raised: bool) -> _Nodes:
-    sigma = field_smoothing(size, edge)
+def _compete(labels: IntArray, size: FloatArray, edge: float, raised: bool, thin: bool) -> _Nodes:
+    sigma = field_smoothing(size, edge, thin)
     room = 3 * sigma + 2 * edge
     shape = np.ceil((np.array(labels.shape) * size + 2 * room) / edge) + 1
     check_nodes(shape, edge)
-    nodes = _Nodes(np.full(3, -room), shape.astype(int))
+    nodes = _Nodes(-room, shape.astype(int))
     names = np.unique(labels[labels > 0])
     numbers = np.where(labels > 0, np.searchsorted(names, labels) + 1, 0)
     around = np.ceil((3 * sigma + 3 * edge) / size).astype(int) + 1
@@ -193,11 +199,13 @@ def _nodes_within(
     return where, np.meshgrid(*axes, indexing="ij")
 
 
-def _mended(labels: IntArray, size: FloatArray, edge: float, raised: bool) -> tuple[float, _Nodes]:
+def _mended(
+    labels: IntArray, size: FloatArray, edge: float, raised: bool, thin: bool
+) -> tuple[float, _Nodes]:
     """Nodes of which no more than three walls meet in an edge, and how far apart they are, um."""
     spacing = edge
     while True:
-        nodes = _compete(labels, size, spacing, raised)
+        nodes = _compete(labels, size, spacing, raised, thin)
         own = np.count_nonzero(nodes.best)
         changed = _mend(nodes)
         if changed <= _MENDED * own or spacing <= _CLOSEST * float(size.min()):

@@ -20,11 +20,14 @@ Mask = NDArray[np.bool_]
 
 
 def closed_surface(
-    mask: Mask, size: FloatArray, origin: FloatArray, edge: float
+    mask: Mask, size: FloatArray, origin: FloatArray, edge: float, thin: bool = False
 ) -> tuple[FloatArray, IntArray] | None:
-    """Closed surface of the largest part of a mask, outward; None if the grid misses it."""
+    """Closed surface of the largest part of a mask, outward; None if the grid misses it.
+
+    thin : see :func:`~.dual_net.field_smoothing`.
+    """
     spacing = NETS.spacing * edge
-    sigma = field_smoothing(size, spacing)
+    sigma = field_smoothing(size, spacing, thin)
     extent = np.array(mask.shape) * size
     if extent.max() < spacing:
         return None
