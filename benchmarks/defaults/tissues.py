@@ -21,7 +21,8 @@ import tifffile
 from numpy.typing import NDArray
 
 from napari_deltamic.geometry.labels.bright_cells import cells_of
-from napari_deltamic.geometry.labels.find_cells import find_cells, suggest_size
+from napari_deltamic.geometry.labels.cell_sizes import suggest_size
+from napari_deltamic.geometry.labels.find_cells import find_cells
 
 from ..figure import Row, at_least, at_most
 from ..page import put_between, table

@@ -1,5 +1,6 @@
 from .files import load_mesh, save_mesh
-from .labels.find_cells import find_cells, suggest_size
+from .labels.cell_sizes import suggest_size
+from .labels.find_cells import find_cells
 from .labels.label_edits import (
     Click,
     correct_labels,

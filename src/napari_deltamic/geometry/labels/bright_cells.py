@@ -29,16 +29,11 @@ from napari_deltamic.geometry.labels.bright_things import (
     typical_diameter,
     unexplained,
 )
+from napari_deltamic.geometry.labels.cell_sizes import SizeFound, likeliest, suggest_sizes
 from napari_deltamic.geometry.labels.cells_in_haze import cells_in_haze
 from napari_deltamic.geometry.labels.checked_image import checked_image, positive_size
 from napari_deltamic.geometry.labels.crowded_cells import crowded_cells, without_halves
-from napari_deltamic.geometry.labels.find_cells import (
-    SizeFound,
-    WalledCells,
-    likeliest,
-    suggest_sizes,
-    walled_cells,
-)
+from napari_deltamic.geometry.labels.find_cells import WalledCells, walled_cells
 from napari_deltamic.geometry.labels.region_merging import Labels
 
 
@@ -133,8 +128,9 @@ def cells_of(
     tried = suggest_sizes(image, voxel_size) if size is None else []
     asked = size or likeliest(tried, data.shape, voxel)
     walled: WalledCells | None
+    refused = None
     try:
-        walled, refused = walled_cells(image, voxel_size, asked), None
+        walled = walled_cells(image, voxel_size, asked)
     except InputError as error:
         walled, refused = None, error
     seen = smoothed(data, known, voxel)

@@ -90,6 +90,12 @@ class FindingRules:
         simulated crowds and tissues: 226 of 354 gaps have less, and 1 of 1125 cells. With 0.7 it
         is 234 and 3, and two deep cells of an embryo are gone whose walls fade below.
         What is as enclosed as the second is a cell of whatever shape; chosen: no gap less is found.
+    even, as_even
+        How even the wall around a region is (`even_walls`) times how solid it is, and the same in
+        parts of what the best quarter of the volume found has. Less is dark ground between cells,
+        or a piece of one. Measured on 19 simulated images of 130 cells, most of different
+        sizes: 161 were found without both, 52 of them wrong; 108 with both, 2 of them wrong. With
+        0.44 as the first, it is 109 and 4; and in an embryo two of 43 cells are lost, with 0.4 one.
     leak, corners
         Parts of a region thinner than twice the first have leaked out of it; what lies within so
         many times that of the rest comes back, since corners are thin too.
@@ -135,6 +141,8 @@ class FindingRules:
     border: float = 0.7
     gap: float = 0.62
     closed: float = 0.97
+    even: float = 0.36
+    as_even: float = 0.6
     leak: float = 0.12
     corners: float = 1.7
     tried_voxels: int = 60_000

@@ -10,7 +10,7 @@ walls and about as large as a cell is one. The outside needs no marker, so none 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,9 +25,9 @@ from napari_deltamic.geometry.labels.checked_image import (
     Mask,
     checked_image,
     checked_size,
-    mean_side,
 )
 from napari_deltamic.geometry.labels.clear_rims import clear_rims, noise_magnitudes
+from napari_deltamic.geometry.labels.even_walls import even_walls
 from napari_deltamic.geometry.labels.region_merging import Image, Labels, Regions, join_regions
 from napari_deltamic.geometry.labels.solidity import solidity
 from napari_deltamic.geometry.mesh import FloatArray
@@ -68,10 +68,12 @@ class WalledCells:
     labels : (Z, Y, X) int32: 1 to n; 0 is background.
     surely : (n,) whether walls all around tell the cell; else the border of the image cuts so much
         of it that it is only taken for one where others are.
+    walled : (n,) see `RegionsFound`.
     """
 
     labels: NDArray[np.int32]
     surely: NDArray[np.bool_]
+    walled: FloatArray
 
     @property
     def sure(self) -> NDArray[np.int32]:
@@ -90,8 +92,8 @@ def walled_cells(image: ArrayLike, voxel_size: Sequence[float], size: float) -> 
     """
     data, known, voxel = checked_image(image, voxel_size)
     diameter = checked_size(size, data.shape, voxel)
-    seen = _Seen(data, known, noise_magnitudes(data, known), voxel)
-    found = _without_gaps(*_find(seen, diameter, FINDING.finest))
+    seen = Seen(data, known, noise_magnitudes(data, known), voxel)
+    found = without_gaps(*regions_of_size(seen, diameter, FINDING.finest))
     if not found.surely.any():
         raise NoCellsFound(
             f"no cells of about {diameter:g} um were found: try another size, or start from points "
@@ -101,7 +103,7 @@ def walled_cells(image: ArrayLike, voxel_size: Sequence[float], size: float) -> 
 
 
 @dataclass(frozen=True)
-class _Regions:
+class RegionsFound:
     """Regions that may be cells.
 
     Attributes
@@ -110,21 +112,22 @@ class _Regions:
     diameter : (N,) um, of a ball of the same volume.
     enclosed : (N,) share of its surface within the image that is on a wall.
     surely : (N,) see `WalledCells`.
+    walled : (N,) how even its wall is times how solid it is; 1 at most.
     """
 
     names: NDArray[np.int64]
     diameter: FloatArray
     enclosed: FloatArray
     surely: Mask
+    walled: FloatArray
 
-    def of(self, chosen: list[int] | Mask) -> _Regions:
+    def of(self, chosen: list[int] | Mask) -> RegionsFound:
         """Only these."""
-        names, diameter = self.names[chosen], self.diameter[chosen]
-        return _Regions(names, diameter, self.enclosed[chosen], self.surely[chosen])
+        return RegionsFound(*(getattr(self, part.name)[chosen] for part in fields(self)))
 
 
 @dataclass(frozen=True)
-class _Seen:
+class Seen:
     """An image, its gaps filled, where it is known, its noise, and its voxel.
 
     The noise is that of ``noise_magnitudes``; None where it cannot be told.
@@ -135,11 +138,11 @@ class _Seen:
     noise: Image | None
     voxel: FloatArray
 
-    def coarsened(self, step: NDArray[np.int_]) -> _Seen:
+    def coarsened(self, step: NDArray[np.int_]) -> Seen:
         """Means of blocks of voxels."""
         blocks = np.float32(np.prod(step) ** 0.5)
         half = 0.5  # by definition
-        return _Seen(
+        return Seen(
             coarsened_image(self.data, step),
             coarsened_image(self.known.astype(np.float32), step) > half,
             None if self.noise is None else coarsened_image(self.noise, step) / blocks,
@@ -147,81 +150,7 @@ class _Seen:
         )
 
 
-@dataclass(frozen=True)
-class SizeFound:
-    """What is found with a size, on a coarse copy of an image.
-
-    Attributes
-    ----------
-    size
-        um: diameter of the typical cell.
-    cells
-        How many, about.
-    score
-        How much is found that has this size indeed.
-    """
-
-    size: float
-    cells: int
-    score: float
-
-
-def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
-    """The diameter (um) of the cells of an image, roughly: a start for `find_cells`.
-
-    The best of ``suggest_sizes``; where nothing is found, a quarter of the image.
-
-    Raises
-    ------
-    InputError
-        As `find_cells`.
-    """
-    return likeliest(suggest_sizes(image, voxel_size), np.shape(image), voxel_size)
-
-
-def likeliest(
-    tried: Sequence[SizeFound], shape: Sequence[int], voxel_size: Sequence[float] | FloatArray
-) -> float:
-    """um: the first of the sizes tried; where there is none, a quarter of the image."""
-    return tried[0].size if tried else float(np.max(np.multiply(shape, voxel_size))) / 4
-
-
-def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFound]:
-    """Sizes that the cells of an image may have, the likeliest first.
-
-    Several are tried on a coarse copy. Those are taken with which most is found that has this size
-    indeed; of two that are alike, the better one.
-
-    Raises
-    ------
-    InputError
-        As `find_cells`.
-    """
-    data, known, voxel = checked_image(image, voxel_size)
-    extent = np.array(data.shape) * voxel
-    told = known.mean() * np.prod(extent)
-    step = np.floor(np.cbrt(told / FINDING.tried_voxels) / voxel).astype(int)
-    step = np.clip(step, 1, data.shape)
-    seen = _Seen(data, known, noise_magnitudes(data, known), voxel).coarsened(step)
-    size, tried = FINDING.first_tried * float(extent.max()), list[SizeFound]()
-    while size >= FINDING.smallest_tried * mean_side(seen.voxel):
-        _, found = _find(seen, size, 0.0)
-        found = found.of(found.surely)
-        if len(found.names):
-            typical = float(np.median(found.diameter))
-            # Pieces of cells and of the outside are less enclosed than cells.
-            enclosed = float((found.enclosed**4 * found.diameter**3).sum())
-            score = enclosed * np.exp(-2 * np.log(typical / size) ** 2)
-            tried.append(SizeFound(typical, len(found.names), score))
-        size /= FINDING.step
-    kept: list[SizeFound] = []
-    for one in sorted(tried, key=lambda one: -one.score):
-        if one.score > 0 and all(abs(np.log(one.size / x.size)) > FINDING.alike for x in kept):
-            kept.append(one)
-    return kept
-
-
-def _find(seen: _Seen, size: float, finest: float) -> tuple[Labels, _Regions]:
+def regions_of_size(seen: Seen, size: float, finest: float) -> tuple[Labels, RegionsFound]:
     """Labels of the cells, and what they are."""
     step = np.maximum(np.floor(finest * size / seen.voxel), 1).astype(int)
     step = np.minimum(step, seen.data.shape)
@@ -234,8 +163,12 @@ def _find(seen: _Seen, size: float, finest: float) -> tuple[Labels, _Regions]:
     pieces = watershed(walls, seeds, mask=coarse.known).astype(np.int32)
     regions = join_regions(pieces, walls, side, ball)
     cells = _cells(regions, coarse, size)
+    smooth = ndimage.gaussian_filter(coarse.data, _wall_sigma(side, size), mode="nearest")
+    even = even_walls(regions.labels, cells.names, smooth, side)
     labels, kept = _trimmed(regions.labels, cells.names, side, size)
-    return _refined(labels, step, seen, size), cells.of(kept)
+    cells = replace(cells.of(kept), walled=even[kept] * solidities(labels, len(kept)))
+    good = cells.walled >= FINDING.even
+    return _refined(renumbered(labels, good), step, seen, size), cells.of(good)
 
 
 def _wall_sigma(side: FloatArray, size: float) -> FloatArray:
@@ -265,7 +198,7 @@ def compressed_walls(
     return walls
 
 
-def _cells(regions: Regions, seen: _Seen, size: float) -> _Regions:
+def _cells(regions: Regions, seen: Seen, size: float) -> RegionsFound:
     """The regions that are cells: enclosed, of about the size, not mostly on the border."""
     n, side = len(regions.volume), seen.voxel
     flat = regions.labels.ravel()
@@ -293,7 +226,7 @@ def _cells(regions: Regions, seen: _Seen, size: float) -> _Regions:
     good &= quality > 0
     good[0] = False  # what is missing
     names = np.flatnonzero(good)
-    return _Regions(names, diameter[names], quality[names], surely[names])
+    return RegionsFound(names, diameter[names], quality[names], surely[names], np.ones(len(names)))
 
 
 def _least(at_border: FloatArray, within: float, most: float) -> FloatArray:
@@ -328,25 +261,35 @@ def _trimmed(
     return result, whose
 
 
-def _without_gaps(labels: Labels, found: _Regions) -> WalledCells:
+def without_gaps(labels: Labels, found: RegionsFound) -> WalledCells:
     """Only the cells, from 1: gaps between them are less enclosed, and concave.
 
     They are as dark inside as cells are, and what encloses them are the walls of cells.
     """
     if not len(found.names):
-        return WalledCells(labels, found.surely)
+        return WalledCells(labels, found.surely, found.walled)
     volume = found.diameter**3
-    boxes = enumerate(ndimage.find_objects(labels, len(found.names)), 1)  # one may be covered
-    solid = np.array([0.0 if box is None else solidity(labels[box] == k) for k, box in boxes])
-    closed, solid = (x / _upper_quartile(x, volume) for x in (found.enclosed, solid))
+    solid = solidities(labels, len(found.names))
+    closed, solid = (x / upper_quartile(x, volume) for x in (found.enclosed, solid))
     whole = (closed * solid >= FINDING.gap) | (closed >= FINDING.closed)
-    cells = np.flatnonzero(np.where(found.surely, whole, closed * solid >= FINDING.likely_gap))
-    numbers = np.zeros(len(solid) + 1, labels.dtype)
-    numbers[cells + 1] = np.arange(1, len(cells) + 1)
-    return WalledCells(numbers[labels], found.surely[cells])
+    cells = np.where(found.surely, whole, closed * solid >= FINDING.likely_gap)
+    cells &= found.walled >= FINDING.as_even * upper_quartile(found.walled, volume)
+    return WalledCells(renumbered(labels, cells), found.surely[cells], found.walled[cells])
 
 
-def _upper_quartile(values: FloatArray, volume: FloatArray) -> float:
+def solidities(labels: Labels, count: int) -> FloatArray:
+    """(count,) of labels from 1; 0 of one that is nowhere, as where others cover it."""
+    boxes = enumerate(ndimage.find_objects(labels, count), 1)
+    return np.array([0.0 if box is None else solidity(labels[box] == k) for k, box in boxes])
+
+
+def renumbered(labels: Labels, kept: Mask) -> Labels:
+    """Of labels from 1 only some, from 1 again."""
+    numbers = np.append(0, np.where(kept, np.cumsum(kept), 0)).astype(labels.dtype)
+    return numbers[labels]
+
+
+def upper_quartile(values: FloatArray, volume: FloatArray) -> float:
     """By volume: gaps may be many, but they are small."""
     order = np.argsort(values)
     below = np.cumsum(volume[order])
@@ -354,7 +297,7 @@ def _upper_quartile(values: FloatArray, volume: FloatArray) -> float:
     return float(values[order][np.searchsorted(below, place)])
 
 
-def _refined(labels: Labels, step: NDArray[np.int_], seen: _Seen, size: float) -> Labels:
+def _refined(labels: Labels, step: NDArray[np.int_], seen: Seen, size: float) -> Labels:
     """Labels on the voxels of the image, their borders moved onto the crests."""
     if (step == 1).all():
         return labels

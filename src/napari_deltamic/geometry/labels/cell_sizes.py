@@ -1,0 +1,97 @@
+"""How large the cells of an image are: sizes from large to small are tried on a coarse copy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from napari_deltamic.geometry.labels.cell_rules import FINDING
+from napari_deltamic.geometry.labels.checked_image import checked_image, mean_side
+from napari_deltamic.geometry.labels.clear_rims import noise_magnitudes
+from napari_deltamic.geometry.labels.find_cells import (
+    Seen,
+    regions_of_size,
+)
+from napari_deltamic.geometry.mesh import FloatArray
+
+
+@dataclass(frozen=True)
+class SizeFound:
+    """What is found with a size, on a coarse copy of an image.
+
+    Attributes
+    ----------
+    size
+        um: diameter of the typical cell.
+    cells
+        How many, about.
+    score
+        How much is found that has this size indeed.
+    """
+
+    size: float
+    cells: int
+    score: float
+
+
+def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
+    """The diameter (um) of the cells of an image, roughly: a start for `find_cells`.
+
+    The best of ``suggest_sizes``; where nothing is found, a quarter of the image.
+
+    Raises
+    ------
+    InputError
+        As `find_cells`.
+    """
+    return likeliest(suggest_sizes(image, voxel_size), np.shape(image), voxel_size)
+
+
+def likeliest(
+    tried: Sequence[SizeFound], shape: Sequence[int], voxel_size: Sequence[float] | FloatArray
+) -> float:
+    """um: the first of the sizes tried; where there is none, a quarter of the image."""
+    return tried[0].size if tried else float(np.max(np.multiply(shape, voxel_size))) / 4
+
+
+def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFound]:
+    """Sizes that the cells of an image may have, the likeliest first.
+
+    Several are tried on a coarse copy. Those are taken with which most is found that has this size
+    indeed; of two that are alike, the better one.
+
+    Raises
+    ------
+    InputError
+        As `find_cells`.
+    """
+    kept: list[SizeFound] = []
+    for one in _tries(image, voxel_size):
+        if one.score > 0 and all(abs(np.log(one.size / x.size)) > FINDING.alike for x in kept):
+            kept.append(one)
+    return kept
+
+
+def _tries(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFound]:
+    """All sizes with which cells are found, the best first."""
+    data, known, voxel = checked_image(image, voxel_size)
+    extent = np.array(data.shape) * voxel
+    told = known.mean() * np.prod(extent)
+    step = np.floor(np.cbrt(told / FINDING.tried_voxels) / voxel).astype(int)
+    step = np.clip(step, 1, data.shape)
+    seen = Seen(data, known, noise_magnitudes(data, known), voxel).coarsened(step)
+    size, tries = FINDING.first_tried * float(extent.max()), list[SizeFound]()
+    while size >= FINDING.smallest_tried * mean_side(seen.voxel):
+        _, found = regions_of_size(seen, size, 0.0)
+        sure = found.of(found.surely)
+        if len(sure.names):
+            typical = float(np.median(sure.diameter))
+            # Pieces of cells and of the outside are less enclosed than cells.
+            enclosed = float((sure.enclosed**4 * sure.diameter**3).sum())
+            score = enclosed * np.exp(-2 * np.log(typical / size) ** 2)
+            tries.append(SizeFound(typical, len(sure.names), score))
+        size /= FINDING.step
+    return sorted(tries, key=lambda tried: -tried.score)
