@@ -38,11 +38,11 @@ def test_a_start_of_the_wrong_size_is_silent(mesh, factor):
 def test_a_leak_is_told_once_for_each_region(mesh):
     alarm = GrowthAlarm(mesh)
     message = alarm.check(leaked(mesh, 2, 8))
-    assert "region 2 (" in message
+    assert "cell 2 (" in message
     assert "1 (" not in message
     assert "\n" not in message
     assert alarm.check(leaked(mesh, 2, 9)) == ""
-    assert "region 1 (" in alarm.check(leaked(leaked(mesh, 2, 9), 1, 8))
+    assert "cell 1 (" in alarm.check(leaked(leaked(mesh, 2, 9), 1, 8))
 
 
 def test_a_region_that_starts_without_area_is_no_crash():
@@ -61,5 +61,5 @@ def test_only_where_every_cell_is_a_point_the_fit_is_stuck():
     assert why_stuck(0.9, False, [7], 37) == ""
     assert told_shrunken([7, 9]).startswith("cells 7 and 9 have shrunk to a point: place them")
     assert told_shrunken([]) == ""
-    assert why_stuck(0.9, False, [1, 2], 2).startswith("stuck: the surface of region 1, 2")
+    assert why_stuck(0.9, False, [1, 2], 2).startswith("stuck: cells 1 and 2 have shrunk")
     assert why_stuck(0.01, False, [], 37).startswith("stuck")
