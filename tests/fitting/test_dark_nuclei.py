@@ -75,6 +75,7 @@ def test_the_light_of_cells_alone_and_of_even_ones():
     cells = _with_nuclei(BALL, GRID, 0.4)
     light = Light(0.0, 1.0, ((1, 1.2), (2, 0.3)))
     assert dict(cells.filled(light).cells) == {1: 1.2, 2: 1.2}
+    assert cells.brightness(light) == pytest.approx(0.25)
     assert cells.without_nuclei(light).cells == ()  # one cell is its own scale
     with_another = replace(light, cells=((1, 1.2), (2, 0.3), (7, 0.9)))
     assert cells.without_nuclei(with_another).cells == ((1, 1.2), (7, 0.9))
@@ -101,12 +102,12 @@ def test_a_layer_stays_as_thick_as_it_is(monkeypatch, thick, gains, is_layer, le
 
     def rival(leg):
         fitted = SimpleNamespace(mesh=None, optics=OPTICS)
-        return SimpleNamespace(leg=leg, fitted=fitted)
+        return SimpleNamespace(leg=leg, fitted=fitted, now=SimpleNamespace(light=None))
 
     fitted = SimpleNamespace(shape=SimpleNamespace(model="smooth"), first_optics=OPTICS)
     for name in ("retriangulated", "shining", "displaced", "with_structure"):
         setattr(fitted, name, lambda *_: fitted)
-    cells = SimpleNamespace(mesh=BALL, share=lambda _: 0.2)
+    cells = SimpleNamespace(mesh=BALL, share=lambda _: 0.2, brightness=lambda _: 0.3)
     monkeypatch.setattr(dark_nuclei, "begun", lambda *_: rival(-1))
     monkeypatch.setattr(dark_nuclei, "gone_on", lambda one: (rival(one.leg + 1), 1))
     monkeypatch.setattr(dark_nuclei, "_thickness", lambda one, _: thick[one.leg])
@@ -114,6 +115,8 @@ def test_a_layer_stays_as_thick_as_it_is(monkeypatch, thick, gains, is_layer, le
     found, layer, taken = _followed(None, SimpleNamespace(fitted=fitted), cells)
     assert (layer, found.leg, taken) == (is_layer, legs, legs + 1)
     cells.share = lambda _: 0.45  # nothing is left of a cell but its nucleus
+    assert not _followed(None, SimpleNamespace(fitted=fitted), cells)[1]
+    cells.share, cells.brightness = lambda _: 0.2, lambda _: 0.6  # hardly dark
     assert not _followed(None, SimpleNamespace(fitted=fitted), cells)[1]
 
 

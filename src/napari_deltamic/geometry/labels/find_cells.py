@@ -68,12 +68,10 @@ class WalledCells:
     labels : (Z, Y, X) int32: 1 to n; 0 is background.
     surely : (n,) whether walls all around tell the cell; else the border of the image cuts so much
         of it that it is only taken for one where others are.
-    walled : (n,) see `RegionsFound`.
     """
 
     labels: NDArray[np.int32]
     surely: NDArray[np.bool_]
-    walled: FloatArray
 
     @property
     def sure(self) -> NDArray[np.int32]:
@@ -267,14 +265,14 @@ def without_gaps(labels: Labels, found: RegionsFound) -> WalledCells:
     They are as dark inside as cells are, and what encloses them are the walls of cells.
     """
     if not len(found.names):
-        return WalledCells(labels, found.surely, found.walled)
+        return WalledCells(labels, found.surely)
     volume = found.diameter**3
     solid = solidities(labels, len(found.names))
     closed, solid = (x / upper_quartile(x, volume) for x in (found.enclosed, solid))
     whole = (closed * solid >= FINDING.gap) | (closed >= FINDING.closed)
     cells = np.where(found.surely, whole, closed * solid >= FINDING.likely_gap)
     cells &= found.walled >= FINDING.as_even * upper_quartile(found.walled, volume)
-    return WalledCells(renumbered(labels, cells), found.surely[cells], found.walled[cells])
+    return WalledCells(renumbered(labels, cells), found.surely[cells])
 
 
 def solidities(labels: Labels, count: int) -> FloatArray:
