@@ -24,9 +24,9 @@ class DentRules:
     thin
         Half its thickness, at most: as of an outgrowth.
     depth
-        How deep in the cell it ends, at least; as an outgrowth is long. Measured: up to 1.2 in 250
-        cells that are right (benchmarks.defaults); 4.6 to 6.4 in ten cells whose surfaces had been
-        drawn onto bright spots inside.
+        How deep in the cell it ends, at least; as an outgrowth is long. Measured: up to 1.2 in some
+        200 simulated cells that are right (benchmarks.defaults); 4.6 to 6.4 in ten cells whose
+        surfaces had been drawn onto bright spots inside.
     """
 
     thin: float = OUTGROWTHS.thin
