@@ -117,14 +117,14 @@ def test_a_gaussian_narrower_than_voxels_tell_stays(monkeypatch):
         asked.append((sigma_um, voxel_size))
         return True
 
-    monkeypatch.setattr("napari_deltamic.fitting.light_cone.narrower_than_told", narrow)
+    for module in ("light_cone", "psf_tails"):
+        monkeypatch.setattr(f"napari_deltamic.fitting.{module}.narrower_than_told", narrow)
     *_, state = begun(OBJECTIVE)
     assert isinstance(state.optics, nd.GaussianPSF)
     assert not state.cone
-    assert len(asked) == 2  # for an objective, and for tails
-    for sigma_um, voxel_size in asked:
-        assert sigma_um == pytest.approx(state.optics.sigma_um, rel=1e-6)
-        assert tuple(voxel_size) == SIZE
+    sigma_um, voxel_size = asked[0]
+    assert sigma_um == pytest.approx(state.optics.sigma_um, rel=1e-6)
+    assert tuple(voxel_size) == SIZE
 
 
 @pytest.mark.slow
@@ -276,6 +276,16 @@ def test_a_psf_narrower_than_voxels_tell_is_not_kept():
         run.let_former_go, run.say = lambda: former, said.append
         assert successor(run, True) == (None if kept else former, False)
         assert said == ([] if kept else [NARROW])
+
+
+def test_of_two_psfs_narrower_than_voxels_tell_the_one_that_explains_more_is_kept():
+    former = resting(nd.GaussianPSF((0.3, 0.05, 0.05)))
+    former.come_back = lambda stage, tried: None
+    for left, kept in ((0.8, True), (1.2, False)):
+        run = resting(nd.GaussianMixturePSF([(0.3, 0.07, 0.07), (0.9, 0.07, 0.07)], (1, 1)), left)
+        assert is_given_up(run, former) != kept
+        run.let_former_go, run.say = lambda: former, lambda remark: None
+        assert successor(run, True) == (None if kept else former, False)
 
 
 def after_steps(

@@ -134,6 +134,31 @@ def test_tails_have_to_explain_much_more(monkeypatch, left, found):
 
 
 @pytest.mark.parametrize(
+    ("now", "across"),
+    [
+        ((1.0, 0.11, 0.11), 0.11),
+        ((1.0, 0.05, 0.05), ABOUT.sigma_um[1]),  # as sharp as borders, in place of a haze
+        ((0.05, 0.05, 0.05), None),  # along Z, too: nothing tells that there are tails
+    ],
+)
+def test_tails_begin_as_wide_across_as_voxels_tell(monkeypatch, now, across):
+    monkeypatch.setattr(psf_tails, "begun", lambda terms, fitted, factored: fitted)
+    monkeypatch.setattr(psf_tails, "stepped", lambda rival, hopeless: (rival, 7))
+    monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: 0.5)
+    fitted = SimpleNamespace(
+        optics=nd.GaussianPSF(now), first_optics=ABOUT, seen_through=lambda optics: optics
+    )
+    terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
+    tailed, _ = tails_instead(terms, fitted, None)
+    if across is None:
+        assert tailed is None
+        return
+    widths = {name: float(value) for name, value in tailed.values.items() if name[-1] in "zyx"}
+    assert [widths[f"sigma{n}_{a}"] for n in (1, 2) for a in "yx"] == pytest.approx([across] * 4)
+    assert widths["sigma1_z"] == pytest.approx(RULES.core * now[0])
+
+
+@pytest.mark.parametrize(
     ("shares", "stops"), [((1.2, 1.1), True), ((1.2, 1.0), False), ((0.95, 0.92), False)]
 )
 def test_steps_end_where_they_gain_too_little(monkeypatch, shares, stops):

@@ -124,9 +124,9 @@ def objective_instead(
     image
         (Z, Y, X) as it renders that, of any amplitude.
     """
-    if not may_change(terms, fitted):
-        return None, 0
     first, voxel_size = fitted.first_optics, terms.level.grid.voxel_size
+    if not may_change(terms, fitted) or narrower_than_told(fitted.optics.sigma_um, voxel_size):
+        return None, 0
     roundest = _tangent_of_half(_WIDEST)
     known = not _is_default(first.sigma_um, voxel_size)
     about = first.sigma_um if known else fitted.optics.sigma_um
@@ -172,9 +172,7 @@ def may_change(terms: Terms, fitted: Fitted) -> bool:
     """Whether a fit has fitted a Gaussian PSF, in place of which there may be another kind."""
     if not (_is_plain(fitted.optics) and _is_plain(fitted.first_optics)):
         return False
-    if not terms.settings.fit_psf or terms.second is not None:
-        return False
-    return not narrower_than_told(fitted.optics.sigma_um, terms.level.grid.voxel_size)
+    return terms.settings.fit_psf and terms.second is None
 
 
 def _posed(optics: ThroughObjective, terms: Terms, fitted: Fitted) -> Objective:

@@ -5,6 +5,9 @@ neither those of a Gaussian nor of an ideal objective. A Gaussian is then too lo
 focus and too short for what is not. So, where no objective explains an image better, a few steps
 are taken with two Gaussians that are equally wide across; where that leaves clearly less
 unexplained, the fit goes on with them.
+
+Where a haze makes a Gaussian long, it may become narrower across than voxels can tell, to be as
+sharp as the borders are. Two Gaussians then begin as wide across as it was at the start.
 """
 
 from __future__ import annotations
@@ -15,12 +18,14 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from ..optics import GaussianMixturePSF
+from ..optics.narrow import narrower_than_told
 from .fit_objective import Objective, Terms
 from .fitted import Fitted
 from .light_cone import may_change, share_left
 from .preconditioner import Preconditioners
 from .rival_structures import begun, stepped
 
+Widths = tuple[float, float, float]
 HAS_TAILS = "the image shows a PSF with long tails along Z: the fit continues with two Gaussians"
 
 
@@ -66,7 +71,10 @@ def tails_instead(
     """
     if not may_change(terms, fitted):
         return None, 0
-    tailed, looked = core_and_tails(fitted.optics.sigma_um), list[float]()
+    about = _about(fitted, terms.level.grid.voxel_size)
+    if about is None:
+        return None, 0
+    tailed, looked = core_and_tails(about), list[float]()
 
     def hopeless(objective: Objective) -> bool:
         looked.append(share_left(objective, image))
@@ -76,6 +84,17 @@ def tails_instead(
     # What shines is held: else light of membranes might explain more, and the tails get the credit.
     rival, taken = stepped(begun(terms, fitted.seen_through(tailed), Preconditioners()), hopeless)
     return (tailed if share_left(rival, image) < RULES.left else None), taken
+
+
+def _about(fitted: Fitted, voxel_size: Widths) -> Widths | None:
+    """um, Z Y X: the Gaussian's widths; across, those of the start where they became too narrow.
+
+    None where the image tells less than that.
+    """
+    z, y, x = fitted.optics.sigma_um
+    if narrower_than_told((y, x), voxel_size[1:]):
+        _, y, x = fitted.first_optics.sigma_um
+    return None if narrower_than_told((z, y, x), voxel_size) else (z, y, x)
 
 
 def core_and_tails(sigma: Sequence[float]) -> GaussianMixturePSF:

@@ -143,17 +143,21 @@ def is_given_up(run: Run, former: Run | None) -> bool:
     """
     if former is None or run.stage.edited or run.stage.progress.answered:
         return False
-    return _is_narrow(run) or run.objective.leaves_over(former.posed_here()) > _BEHIND
+    if _became_narrow(run, former):
+        return True
+    return run.objective.leaves_over(former.posed_here()) > _BEHIND
 
 
-def _is_narrow(run: Ending) -> bool:
-    """Whether the PSF stands in for something else."""
-    return narrower_than_told(run.fitted.optics.sigma_um, run.terms.level.grid.voxel_size)
+def _became_narrow(run: Ending, former: Ending) -> bool:
+    """Whether the new PSF stands in for something else, and the one before did not."""
+    size = run.terms.level.grid.voxel_size
+    now, before = (narrower_than_told(one.fitted.optics.sigma_um, size) for one in (run, former))
+    return now and not before
 
 
 def _back(run: Run, former: Run) -> Run | None:
     """The fit before, where its end explains more, or this one's PSF cannot be; None else."""
-    narrow = _is_narrow(run)
+    narrow = _became_narrow(run, former)
     if not narrow and run.objective.leaves_over(former.posed_here()) <= 1:
         return None
     run.say(NARROW if narrow else BACK)
