@@ -45,6 +45,26 @@ def test_a_line_of_one_voxel_is_no_gap():
     assert (9, 4) in {tuple(p) for p in pairs}
 
 
+@pytest.mark.parametrize(
+    ("in_the_gap", "shared"), [(0.5, False), (0.9, True), (1.0, True), (3.0, True)]
+)
+def test_the_image_tells_whether_a_line_is_a_gap(in_the_gap, shared):
+    labels = halves(1)
+    image = np.where(halves() > 0, np.where(labels > 0, 1.0, in_the_gap), 0.0) + 7.0
+    pairs = mesh_from_labels(labels, SIZE, image=image).interfaces()[0]
+    assert ((9, 4) in {tuple(p) for p in pairs}) == shared
+
+
+def test_a_dark_line_stays_beside_cells_unequally_bright():
+    labels = halves(2)
+    image = np.select([labels == 4, labels == 9, halves() > 0], [1.0, 0.3, 0.4], 0.0)
+    pairs = mesh_from_labels(labels, SIZE, image=image).interfaces()[0]
+    assert (9, 4) not in {tuple(p) for p in pairs}
+    image = np.select([labels == 4, labels == 9, halves() > 0], [1.0, 0.3, 0.65], 0.0)
+    pairs = mesh_from_labels(labels, SIZE, image=image).interfaces()[0]
+    assert (9, 4) in {tuple(p) for p in pairs}
+
+
 def test_wider_gaps_stay_unless_they_are_closed():
     apart = mesh_from_labels(halves(4), SIZE)
     assert {tuple(p) for p in apart.interfaces()[0]} == {(4, 0), (9, 0)}

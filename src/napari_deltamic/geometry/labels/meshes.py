@@ -13,6 +13,7 @@ from scipy import ndimage
 from napari_deltamic.errors import InputError, RepairWarning, listed
 from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.contacts import label_contacts
+from napari_deltamic.geometry.labels.dark_gaps import without_dark_gaps
 from napari_deltamic.geometry.labels.label_repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
 from napari_deltamic.geometry.labels.surface_nets import closed_surface
@@ -67,11 +68,12 @@ def mesh_from_labels(
         makes about 60,000 faces of all labels, 1000 of each where they are more than 60, if that is
         longer; shorter for labels with thin parts, such as arms, that it would cut off.
     gap : um; ground between labels that is narrower is divided among them. Default: as wide as the
-        lines of one voxel that some segmentations leave between cells.
+        lines of one voxel that some segmentations leave between cells, but for those in which the
+        image is darker than the cells.
     shared_walls : False gives each label a surface of its own; touching ones lie on each other.
         Walls cannot be shared without the compiled extension.
     image : (Z, Y, X), finite: labels that only mark the cells that it shows, such as those of their
-        nuclei, become whole cells; a RepairWarning names them.
+        nuclei, become whole cells; a RepairWarning names them. It also tells which gaps are real.
 
     Raises
     ------
@@ -144,7 +146,7 @@ def surfaces_of_labels(
     numbers[array <= 0] = 0
     clusters = [np.array([k]) for k in range(1, len(names) + 1)]
     if shared_walls and len(names) > 1 and can_remesh():
-        numbers = _without_gaps(numbers, size, gap)
+        numbers = _without_gaps(numbers, size, gap, image)
         clusters = _touching(numbers, len(names))
     boxes = ndimage.find_objects(numbers, len(names))
     where = _Place(size, start, edge, finest, names, boxes)
@@ -330,10 +332,14 @@ def _boxes(numbers: IntArray, cluster: IntArray) -> list[tuple[slice, ...]]:
     return [boxes[k - 1] for k in cluster]
 
 
-def _without_gaps(numbers: IntArray, size: FloatArray, gap: float | None) -> IntArray:
-    # Half the gap; a line of one voxel is reached from the voxels beside it.
-    reach, spacing = (1.0, np.ones(3)) if gap is None else (gap / 2, size)
-    return share_out_gaps(numbers, spacing, reach) if reach > 0 else numbers
+def _without_gaps(
+    numbers: IntArray, size: FloatArray, gap: float | None, image: ArrayLike | None
+) -> IntArray:
+    if gap is not None:
+        return share_out_gaps(numbers, size, gap / 2) if gap > 0 else numbers
+    # A line of one voxel is reached from the voxels beside it.
+    closed = share_out_gaps(numbers, np.ones(3), 1.0)
+    return closed if image is None else without_dark_gaps(numbers, closed, np.asarray(image))
 
 
 def _touching(numbers: IntArray, count: int) -> list[IntArray]:
