@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from napari_deltamic.errors import InputError, RepairWarning
 from napari_deltamic.geometry import mesh_from_labels
 from napari_deltamic.geometry.labels import meshes as label_meshes
+from napari_deltamic.geometry.labels.dark_gaps import with_dark_gaps
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
 from napari_deltamic.geometry.topology.crossings import crosses
 
@@ -53,6 +54,33 @@ def test_the_image_tells_whether_a_line_is_a_gap(in_the_gap, shared):
     image = np.where(halves() > 0, np.where(labels > 0, 1.0, in_the_gap), 0.0) + 7.0
     pairs = mesh_from_labels(labels, SIZE, image=image).interfaces()[0]
     assert ((9, 4) in {tuple(p) for p in pairs}) == shared
+
+
+@pytest.mark.parametrize(("between", "shared"), [(0.5, False), (0.95, True), (3.0, True)])
+def test_labels_that_touch_are_parted_where_the_image_is_dark(between, shared):
+    labels = halves()
+    image = np.where(labels > 0, 1.0, 0.0)
+    image[:, :, 25:27] *= between
+    mesh = mesh_from_labels(labels, SIZE, image=image)
+    assert ((9, 4) in {tuple(p) for p in mesh.interfaces()[0]}) == shared
+    lost = 1 - sum(mesh.volumes().values()) / ((labels > 0).sum() * 0.016)
+    assert lost == pytest.approx(0 if shared else 0.075, abs=0.01)
+
+
+def test_noise_parts_no_labels():
+    labels = np.zeros((16, 24, 24), int)
+    labels[4:12, 6:18, 4:12] = 1
+    labels[4:12, 6:18, 12:20] = 2
+    labels[:, :, 11:13] = 0
+    labels[7:10, 10:13, 11:13] = [1, 2]  # nine faces where they touch
+    rng = np.random.default_rng(1)
+    parted = 0
+    for _ in range(50):
+        image = np.where(labels > 0, rng.poisson(1.0, labels.shape), 0.0)
+        parted += not np.array_equal(with_dark_gaps(labels, labels, image), labels)
+    assert parted <= 3
+    image[7:10, 10:13, 11:13] = 0
+    assert not np.array_equal(with_dark_gaps(labels, labels, image), labels)
 
 
 def test_a_dark_line_stays_beside_cells_unequally_bright():

@@ -1,4 +1,4 @@
-"""Gaps between labels that the image shows: ground darker than the cells on both sides of it."""
+"""Gaps between cells that labels lack: the image is darker there than in the cells beside it."""
 
 from __future__ import annotations
 
@@ -9,19 +9,24 @@ from scipy import ndimage
 from napari_deltamic.geometry.mesh import IntArray
 from napari_deltamic.geometry.pairs import unique_pairs
 
-# Of the brightness of the cells beside it, above that of the ground: a gap that is brighter is a
-# line that a segmentation has left, or a membrane. Measured: 0.71 to 0.78 where cells lie two
-# voxels or one slice apart (as one mesh their insides end 0.59 voxel off, apart 0.12), 0.76 to 0.87
-# where they lie 1.2 voxels apart, less than the PSF resolves (as one mesh 0.25 voxel off, apart
-# 0.73), 1 and more in lines between cells that touch.
-_DARK = 0.75
+# Of the brightness of the cells beside it, above that of the ground: what is brighter is a line
+# that a segmentation has left, a membrane, or where cells touch. Measured in lines: 0.71 to 0.78
+# where cells lie two voxels or one slice apart (as one mesh their insides end 0.59 voxel off, apart
+# 0.12), 0.76 to 0.87 where they lie 1.2 voxels apart, less than the PSF resolves (as one mesh 0.25
+# voxel off, apart 0.73). Where labels touch: 0.17 to 0.80 where the cells do not, 0.88 to 1.13
+# where they do, more where they have membranes.
+_DARK = 0.8
+_ERRORS = 2.0  # standard errors by which it is darker, so that noise makes no gaps; chosen
 _NEAR = 4  # voxels from a gap, in which a cell beside it is looked at; chosen
 _FEWEST = 9  # voxels of a gap; chosen: fewer are a corner between cells that touch
 _FAR = 2  # voxels from labels, from which on ground is not lit by them; chosen
 
 
-def without_dark_gaps(numbers: IntArray, closed: IntArray, image: NDArray[np.floating]) -> IntArray:
-    """Labels whose gaps were closed, where the image does not show them; elsewhere as before.
+def with_dark_gaps(numbers: IntArray, closed: IntArray, image: NDArray[np.floating]) -> IntArray:
+    """Labels whose gaps were closed, with ground between two where the image shows it.
+
+    Lines that were closed are opened again; where two labels touch, the voxels beside that become
+    ground.
 
     Parameters
     ----------
@@ -31,28 +36,29 @@ def without_dark_gaps(numbers: IntArray, closed: IntArray, image: NDArray[np.flo
         (Z, Y, X), finite.
     """
     gap = (numbers == 0) & (closed > 0)
-    if not gap.any():
-        return closed
-    pairs, where = _gaps_between(gap, closed)
-    ground = _ground(closed, image)
-    found = closed.copy()
-    for (a, b), at in zip(pairs, where, strict=True):
-        if len(at) >= _FEWEST and _is_dark((a, b), at, numbers, image, ground):
-            found.reshape(-1)[at] = 0
+    found, ground = closed.copy(), _ground(closed, image)
+    for pairs, where in (_between(closed, gap, True), _between(closed, gap, False)):
+        for (a, b), at in zip(pairs, where, strict=True):
+            if len(at) >= _FEWEST and _is_dark((a, b), at, numbers, image, ground):
+                found.reshape(-1)[at] = 0
     return found
 
 
-def _gaps_between(
-    gap: NDArray[np.bool_], closed: IntArray
+def _between(
+    closed: IntArray, gap: NDArray[np.bool_], in_gaps: bool
 ) -> tuple[list[list[int]], list[IntArray]]:
-    """Pairs of labels that meet in a gap, and the flat indices of its voxels where they do."""
+    """Pairs of labels that meet, and the flat indices of voxels where they do.
+
+    in_gaps : those of gaps that were closed; else those of labels that touch without one.
+    """
     index = np.arange(closed.size).reshape(closed.shape)
     met, at = [np.zeros((0, 2), closed.dtype)], [np.zeros(0, index.dtype)]
     for axis in range(3):
-        here, label, ground = (np.moveaxis(one, axis, 0) for one in (index, closed, gap))
+        here, label, line = (np.moveaxis(one, axis, 0) for one in (index, closed, gap))
         meet = (label[1:] != label[:-1]) & (label[1:] > 0) & (label[:-1] > 0)
+        bare = ~(line[1:] | line[:-1])
         for own in (slice(1, None), slice(None, -1)):
-            chosen = meet & ground[own]
+            chosen = meet & (line[own] if in_gaps else bare)
             met.append(np.sort(np.stack([label[1:][chosen], label[:-1][chosen]], 1), axis=1))
             at.append(here[own][chosen])
     pairs, number = unique_pairs(np.concatenate(met))
@@ -86,5 +92,6 @@ def _is_dark(
     if not all(len(values) for values in beside):
         return False
     inside = float(np.mean([np.median(values) for values in beside]))
-    seen = float(image.reshape(-1)[at].mean())
-    return inside > ground and seen - ground < _DARK * (inside - ground)
+    seen = image.reshape(-1)[at]
+    most = seen.mean() + _ERRORS * seen.std() / np.sqrt(len(seen))
+    return bool(inside > ground and most - ground < _DARK * (inside - ground))

@@ -13,7 +13,7 @@ from scipy import ndimage
 from napari_deltamic.errors import InputError, RepairWarning, listed
 from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.contacts import label_contacts
-from napari_deltamic.geometry.labels.dark_gaps import without_dark_gaps
+from napari_deltamic.geometry.labels.dark_gaps import with_dark_gaps
 from napari_deltamic.geometry.labels.label_repair import repair_labels, share_out_gaps
 from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
 from napari_deltamic.geometry.labels.surface_nets import closed_surface
@@ -68,12 +68,12 @@ def mesh_from_labels(
         makes about 60,000 faces of all labels, 1000 of each where they are more than 60, if that is
         longer; shorter for labels with thin parts, such as arms, that it would cut off.
     gap : um; ground between labels that is narrower is divided among them. Default: as wide as the
-        lines of one voxel that some segmentations leave between cells, but for those in which the
-        image is darker than the cells.
+        lines of one voxel that some segmentations leave between cells.
     shared_walls : False gives each label a surface of its own; touching ones lie on each other.
         Walls cannot be shared without the compiled extension.
     image : (Z, Y, X), finite: labels that only mark the cells that it shows, such as those of their
-        nuclei, become whole cells; a RepairWarning names them. It also tells which gaps are real.
+        nuclei, become whole cells; a RepairWarning names them. Where it is darker between
+        labels than in them, no gap is closed, and labels that touch are parted.
 
     Raises
     ------
@@ -339,7 +339,7 @@ def _without_gaps(
         return share_out_gaps(numbers, size, gap / 2) if gap > 0 else numbers
     # A line of one voxel is reached from the voxels beside it.
     closed = share_out_gaps(numbers, np.ones(3), 1.0)
-    return closed if image is None else without_dark_gaps(numbers, closed, np.asarray(image))
+    return closed if image is None else with_dark_gaps(numbers, closed, np.asarray(image))
 
 
 def _touching(numbers: IntArray, count: int) -> list[IntArray]:
