@@ -53,3 +53,23 @@ def test_where_many_cells_are_pointed_only_one_that_reaches_further_is_told():
     assert outgrowths(tissue([2.5] * 6), grid, OPTICS) == {}
     assert list(outgrowths(tissue([1.2] * 5 + [3.0]), grid, OPTICS)) == [6]
     assert list(outgrowths(tissue([0.0] * 5 + [3.0]), grid, OPTICS)) == [6]
+
+
+def finned(width: float) -> Mesh:
+    """A ball with a fin thinner than a voxel at its right side, 1.5 um long; width in um."""
+    ball = sphere((0, 0, 0), 2.0, edge_length=0.12)
+    v = ball.vertices_numpy().copy()
+    v[:, 2] += 1.5 * np.exp(-((v[:, 0] / 0.1) ** 4) - (v[:, 1] / width) ** 4) * (v[:, 2] > 0)
+    return Mesh(v + MIDDLE + [0.1, 0, 0], ball.faces, ball.regions)
+
+
+def test_a_fin_between_the_centres_of_voxels_is_found_but_not_a_mere_edge():
+    """As cells grow along a wall that no label told of; edges where cells meet are as thin."""
+    found = outgrowths(finned(1.5), GRID, OPTICS)
+    assert list(found) == [1]
+    assert found[1] == pytest.approx((5.1, 4.0, 7.3), abs=0.8)
+    assert outgrowths(finned(0.5), GRID, OPTICS) == {}
+
+
+def test_a_fin_beyond_the_border_of_the_image_is_a_guess_anyway():
+    assert outgrowths(finned(1.5), Grid((40, 40, 32), GRID.voxel_size, GRID.origin), OPTICS) == {}

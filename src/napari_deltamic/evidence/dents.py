@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from ..geometry.labels.label_repair import label_boxes
-from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid
+from .cell_voxels import cell_voxels
 from .outgrowths import RULES as OUTGROWTHS
 
 
@@ -42,21 +41,16 @@ def dents(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, tuple[float, floa
     Vertices deep inside of the cell once all that is thin is filled: a dent may be thinner than a
     voxel.
     """
-    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    size = np.asarray(grid.voxel_size)
-    spacing = np.minimum(size / np.asarray(optics.sigma_um), 1.0)
+    spacing = np.minimum(np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um), 1.0)
     rim = int(np.ceil(2 * RULES.thin / spacing.min())) + 1
     places, ends = mesh.vertices_numpy(), dict[int, tuple[float, float, float]]()
-    voxels = np.rint((places - np.asarray(grid.origin)) / size).astype(int)
-    for region, box in label_boxes(labels):
-        own = np.pad(labels[box] == region, rim)
-        around = distance_transform_edt(~own, sampling=spacing) > RULES.thin
-        filled = own | (distance_transform_edt(~around, sampling=spacing) > RULES.thin)
+    for cell in cell_voxels(mesh, grid, rim):
+        around = distance_transform_edt(~cell.own, sampling=spacing) > RULES.thin
+        filled = cell.own | (distance_transform_edt(~around, sampling=spacing) > RULES.thin)
         depth = distance_transform_edt(filled, sampling=spacing)
-        vertices = np.unique(mesh.faces[(mesh.regions == region).any(axis=1)])
-        at = voxels[vertices] - [side.start for side in box] + rim
-        inside = depth[tuple(np.clip(at, 0, np.array(own.shape) - 1).T)]
+        vertices = np.unique(mesh.faces[(mesh.regions == cell.region).any(axis=1)])
+        inside = cell.at(depth, places[vertices])
         if inside.max() >= RULES.depth:
             z, y, x = places[vertices[inside.argmax()]].tolist()
-            ends[region] = z, y, x
+            ends[cell.region] = z, y, x
     return ends
