@@ -25,6 +25,7 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 from napari_deltamic.scene.effects import Background, Effects
+from napari_deltamic.scene.light import Light
 
 FINE = Facts(True, 0.95, {"across": 1.0}, False, (CellFacts(1, 0.95, 0.01, 1.3),))
 
@@ -81,6 +82,17 @@ def test_what_concerns_all(change, grade, word):
     [
         ({"explained": 0.3}, "poor", "30%"),
         ({"stray": 0.4}, "fair", "light inside"),
+        (
+            {"left_out": (0.22, (1, 2.04, 3))},
+            "fair",
+            "22% of its light, brightest at (1.0, 2.0,",
+        ),
+        (
+            {"left_out": (1.2, (1, 2, 3))},
+            "fair",
+            "more than its light, brightest at (1.0,",
+        ),
+        ({"left_out": (0.03, (1, 2, 3))}, "good", "good"),
         ({"growth": 5.0}, "fair", "swallowed"),
         ({"growth": 0.05}, "poor", "shrunk"),
         ({"point": True}, "poor", "shrunk to a point"),
@@ -230,6 +242,13 @@ def test_facts_of_a_fit(monkeypatch):
         replace(job, crowded=frozenset({cell.region})), state, analyse_residual(image, grid, state)
     )
     assert crowded.cells[0].crowded
+    beside = 0.3, (1.0, 2.0, 3.0)
+    monkeypatch.setattr(fit_facts, "left_out", lambda *given: {cell.region: beside})
+    inside = replace(state, light=Light(membrane=0.0, interior=1.0))
+    both = replace(state, light=Light(membrane=1.0, interior=1.0))
+    for lit, told in ((state, None), (inside, beside), (both, None)):
+        found = facts_of(job, lit, analyse_residual(image, grid, state))
+        assert found.cells[0].left_out == told
     assert cell.slices == pytest.approx(3.0 / size[0], rel=0.02)
     middle, places = np.full(3, 2.3), state.mesh.vertices_numpy()
     small = replace(state, mesh=state.mesh.with_vertices(middle + 0.1 * (places - middle)))

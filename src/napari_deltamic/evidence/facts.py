@@ -59,6 +59,10 @@ class CellFacts:
     unseen_wall
         A neighbour with which it may be one cell: the image hardly shows the wall between them
         (:func:`~.unseen_walls.unseen_walls`). None without one.
+    left_out
+        Light of bright parts beside it that belong to no cell, over its own, and where they are
+        brightest, um, Z Y X (:func:`~.left_out.left_out`); None without any, or where membranes
+        shine, as those of neighbours without a label would.
     slices
         Along Z, how many slices high it is; infinite where a second view tells that as well.
     crowded
@@ -89,6 +93,7 @@ class CellFacts:
     point: bool = False
     fold: tuple[float, float, float] | None = None
     unseen_wall: int | None = None
+    left_out: tuple[float, tuple[float, float, float]] | None = None
 
 
 @dataclass(frozen=True)

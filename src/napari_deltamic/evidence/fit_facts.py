@@ -27,6 +27,7 @@ from .dents import dents
 from .facts import CellFacts, Facts
 from .first_sigma import first_sigma
 from .folds import folds
+from .left_out import left_out
 from .necks import beyond_necks
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
@@ -117,6 +118,10 @@ def _cells(
     grown_out = outgrowths(mesh, job.grid, state.optics)
     dented = dents(mesh, job.grid, state.optics)
     swallowed = beyond_necks(job.mesh, mesh, job.grid, state.optics)
+    beside = {}
+    if state.light.interior > 0 and not state.light.membrane:
+        given = images.seen, images.shown, state.background
+        beside = left_out(mesh, job.grid, state.optics, *given)
     folded, unseen, heights = folds(state), unseen_walls(state), _heights(mesh)
     return tuple(
         CellFacts(
@@ -142,6 +147,7 @@ def _cells(
             point=region in points,
             fold=folded.get(region),
             unseen_wall=unseen.get(region),
+            left_out=beside.get(region),
         )
         for region in _areas(mesh)
     )
