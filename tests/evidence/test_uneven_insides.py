@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import FitState, GaussianPSF, Grid
 from napari_deltamic.evidence.uneven_insides import inside_shares, uneven_insides
-from napari_deltamic.evidence.verdict import RULES
+from napari_deltamic.evidence.verdict_rules import RULES
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import RunSettings, SceneSettings

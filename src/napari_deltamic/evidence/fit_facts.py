@@ -35,7 +35,8 @@ from .residual import Residual
 from .slices_apart import slices_apart
 from .uneven_insides import inside_shares, uneven_insides
 from .unseen_walls import unseen_walls
-from .verdict import RULES, Verdict, judged
+from .verdict import Verdict, judged
+from .verdict_rules import RULES
 
 
 def verdict_of(

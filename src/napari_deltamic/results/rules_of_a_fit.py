@@ -21,7 +21,7 @@ from ..evidence import (
     sanity,
     slices_apart,
     unseeded_objects,
-    verdict,
+    verdict_rules,
 )
 from ..evidence.evidence_rules import CAMERA, RESIDUAL, SPECTRUM
 from ..fitting import (
@@ -101,5 +101,5 @@ RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
     "predicted error": asdict(predicted_error.RULES),
     "slices": asdict(slices_apart.RULES),
     "logarithms": asdict(compressed_brightness.RULES),
-    "verdict": asdict(verdict.RULES),
+    "verdict": asdict(verdict_rules.RULES),
 }
