@@ -161,6 +161,24 @@ def test_one_bad_cell_spoils_no_other_and_is_named():
     assert [cell.grade for cell in found.cells] == ["good"] * 5 + ["poor"]
 
 
+@pytest.mark.parametrize("doubt", ["unsure", "alone", "nuclei"])
+def test_a_doubt_about_what_shines_is_one_about_each_cell(doubt):
+    """If it is wrong, each of them ends further in or out; and it is told of all once."""
+    cells = (CellFacts(1, 0.95), CellFacts(2, 0.95), CellFacts(3, 0.2))
+    found = judged(replace(FINE, cells=cells, **{doubt: True}))
+    text, bad = found.reasons
+    assert [cell.grade for cell in found.cells] == ["fair", "fair", "poor"]
+    assert [cell.reasons[-1] for cell in found.cells] == [text] * 3
+    assert bad == "cell 3 is poor (20% of the signal around it is explained)"
+    (alone,) = judged(replace(FINE, **{doubt: True})).reasons
+    assert alone == text
+
+
+def test_other_doubts_about_the_whole_leave_cells_good():
+    found = judged(replace(FINE, narrow=True, dome=0.6, sharpened=True, accuracy=0.1))
+    assert (found.grade, [cell.grade for cell in found.cells]) == ("fair", ["good"])
+
+
 def test_the_error_told_is_that_of_the_cell_in_the_middle_as_the_grade_is():
     small, large = ShapeDeviation(0.01, 0, 0), ShapeDeviation(5.0, 0, 0)
     error = PredictedError(large, {1: small, 2: small, 3: large})

@@ -7,8 +7,8 @@ function of a few facts, the predicted error of the shape first among them.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from statistics import median, median_high
 from typing import Any, Literal
 
@@ -81,9 +81,10 @@ class Verdict:
 def judged(facts: Facts) -> Verdict:
     """The grade: that of most cells, lowered by what concerns all; one bad cell spoils no other.
 
-    Where half of them are worse, the worse one.
+    Where half of them are worse, the worse one. Doubts of what shines are doubts of each cell, too.
     """
-    whole = _of_whole(facts)
+    doubts = _of_structure(facts)
+    whole = [*_of_whole(facts), *doubts]
     usual = _usual_growth(facts.cells)
     cells = tuple(_of_cell(cell, usual, facts) for cell in facts.cells)
     grade = _worst(grade for grade, _ in whole)
@@ -99,7 +100,8 @@ def judged(facts: Facts) -> Verdict:
         else:
             why = _usual_reason([cell for cell in cells if cell.grade == word])
             reasons.append(f"{_cells(bad)} {'are' if len(bad) > 1 else 'is'} {word} ({why})")
-    return Verdict(grade, tuple(reasons), cells, facts.error)
+    doubted = tuple(_doubted(cell, doubts) for cell in cells)
+    return Verdict(grade, tuple(reasons), doubted, facts.error)
 
 
 def names_cells(reason: str) -> bool:
@@ -145,6 +147,15 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.sharpened:
         text = "the image looks deconvolved or smoothed, so bright rims may be artefacts"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
+    if facts.accuracy > RULES.accuracy:
+        text = f"images are rendered with an error of {facts.accuracy:.0%}, too coarse to judge by"
+        found.append(("fair", f"{text} (--accuracy)"))
+    return found
+
+
+def _of_structure(facts: Facts) -> list[tuple[Grade, str]]:
+    """Of what shines: if that is wrong, all surfaces lie further in or out."""
+    found: list[tuple[Grade, str]] = []
     if facts.unsure:
         text = "membranes may be fluorescent as well, and the surfaces then lie further in"
         found.append(("fair", f"{text} (try --structure both)"))
@@ -155,10 +166,12 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.nuclei:
         text = "a dim middle was taken for a dark nucleus: a thick membrane would lie further in"
         found.append(("fair", f"{text} (try --structure membrane)"))
-    if facts.accuracy > RULES.accuracy:
-        text = f"images are rendered with an error of {facts.accuracy:.0%}, too coarse to judge by"
-        found.append(("fair", f"{text} (--accuracy)"))
     return found
+
+
+def _doubted(cell: CellVerdict, doubts: Sequence[tuple[Grade, str]]) -> CellVerdict:
+    grade = _worst((cell.grade, *(word for word, _ in doubts)))
+    return replace(cell, grade=grade, reasons=(*cell.reasons, *(text for _, text in doubts)))
 
 
 def _of_widths(widths: Mapping[str, float]) -> list[tuple[Grade, str]]:
