@@ -24,7 +24,17 @@ def test_a_thin_dent_is_found_where_it_ends(width):
     """Also one that is thinner than a voxel."""
     found = dents(cell(1.5, width), GRID, OPTICS)
     assert list(found) == [1]
-    assert found[1] == pytest.approx((5.0, 4.0, 4.5), abs=0.3)
+    assert found[1].end == pytest.approx((5.0, 4.0, 4.5), abs=0.3)
+    assert not found[1].wall
+
+
+def test_a_slit_is_told_from_a_thread():
+    """Where one label covers two cells, the surface is drawn in along the wall between them."""
+    ball = sphere((0, 0, 0), 2.0, edge_length=0.12)
+    v = ball.vertices_numpy().copy()
+    v[:, 2] -= 1.5 * np.exp(-((v[:, 0] / 0.15) ** 4) - (v[:, 1] / 1.5) ** 4) * (v[:, 2] > 0)
+    (found,) = dents(Mesh(v + MIDDLE, ball.faces, ball.regions), GRID, OPTICS).values()
+    assert found.wall
 
 
 @pytest.mark.parametrize("mesh", [cell(0.0, 0.3), cell(0.3, 0.3), cell(1.2, 1.2)])

@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 import napari_deltamic as nd
 from napari_deltamic.evidence import analyse_residual, fit_facts
+from napari_deltamic.evidence.dents import Dent
 from napari_deltamic.evidence.estimate import Finding
 from napari_deltamic.evidence.facts import CellFacts, Facts
 from napari_deltamic.evidence.first_sigma import FirstSigma
@@ -114,7 +115,13 @@ def test_what_concerns_all(change, grade, word):
         ({"counted": 0.2}, "poor", "is its seed in the right place"),
         ({"counted": 0.92}, "good", "good"),
         ({"unseen_wall": 4}, "fair", "hardly shows its wall with cell 4: are they one cell"),
-        ({"dent": (1.0, 2.04, 3.0)}, "fair", "a thin dent reaches to (1.0, 2.0, 3.0) um: is some"),
+        (
+            {"dent": Dent((1, 2.04, 3))},
+            "fair",
+            "a thin dent reaches to (1.0, 2.0, 3.0) um: is",
+        ),
+        ({"dent": Dent((1, 2, 3), False)}, "fair", "something bright there, inside the cell?"),
+        ({"dent": Dent((1, 2, 3), True)}, "fair", "inside the cell, or two cells under one label?"),
         ({"fold": (1.0, 2.04, 3.0)}, "fair", "folded at (1.0, 2.0, 3.0) um: are these two cells"),
         ({"lit": 0.35}, "fair", "only 35% of its surface is bright"),
         ({"lit": 0.2}, "poor", "only 20% of its surface is bright"),

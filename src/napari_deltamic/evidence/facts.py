@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
 
+from .dents import Dent
 from .predicted_error import PredictedError
 from .slices_apart import SlicesApart
 
@@ -36,7 +37,7 @@ class CellFacts:
     outgrowth
         Where a thin one ends, um, Z Y X (:func:`~.outgrowths.outgrowths`); None without one.
     dent
-        Where a thin one ends, um, Z Y X (:func:`~.dents.dents`); None without one.
+        The deepest thin one (:func:`~.dents.dents`); None without one.
     beyond_neck
         The middle of a thick part that its start did not have, um, Z Y X
         (:func:`~.necks.beyond_necks`); None without one.
@@ -80,7 +81,7 @@ class CellFacts:
     compact: float | None = None
     small: bool = False
     outgrowth: tuple[float, float, float] | None = None
-    dent: tuple[float, float, float] | None = None
+    dent: Dent | None = None
     beyond_neck: tuple[float, float, float] | None = None
     uneven: float = 0.0
     inside_share: float = 1.0

@@ -251,9 +251,12 @@ def _of_cell(cell: CellFacts, usual: float, facts: Facts) -> CellVerdict:
         text = f"it is only {cell.slices:.1f} slices high: its height is poorly determined"
         found.append(("fair", text))
     if cell.dent is not None:
-        z, y, x = cell.dent
+        z, y, x = cell.dent.end
         text = f"a thin dent reaches to ({z:.1f}, {y:.1f}, {x:.1f}) um"
-        found.append(("fair", f"{text}: is something bright there, inside the cell?"))
+        text += ": is something bright there, inside the cell"
+        found.append(
+            ("fair", text + (", or two cells under one label?" if cell.dent.wall else "?"))
+        )
     elif cell.fold is not None:
         z, y, x = cell.fold
         text = f"its surface is folded at ({z:.1f}, {y:.1f}, {x:.1f}) um: are these two cells?"
