@@ -139,6 +139,14 @@ def test_small_labels_keep_their_volume(across):
     assert smallest_angles(mesh).min() > 15
 
 
+@pytest.mark.parametrize(("radius", "voxels"), [(3.5, 2.0), (5.0, 2.25), (8.0, 3.0)])
+def test_edges_of_small_labels_are_shorter(radius, voxels):
+    z, y, x = np.indices((20, 20, 40)) - 9.5
+    labels = 1 * (z**2 + y**2 + x**2 < radius**2) + 2 * (z**2 + y**2 + (x - 20) ** 2 < radius**2)
+    found = label_meshes.surfaces_of_labels(labels, (0.2, 0.2, 0.2), (0, 0, 0))
+    assert found.edge == pytest.approx(0.2 * voxels, rel=0.02)
+
+
 def test_the_default_edge_is_three_voxels_unless_that_makes_too_many_faces(monkeypatch):
     size = np.array(SIZE)
     assert label_meshes.default_edge(halves(), size) == pytest.approx(0.6)
