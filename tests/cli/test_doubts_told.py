@@ -34,6 +34,22 @@ def test_padding_is_told_and_left_out(data, tmp_path, run):
     assert "padding, all of one value: taken as missing" in err
 
 
+@pytest.mark.usefixtures("judged")
+def test_hot_voxels_lower_no_grade(data, tmp_path, run):
+    image, _ = read_image(data / "cell.tif")
+    hot = image.copy()
+    hot[5, 6, 7] = hot[12, 11, 16] = 200 * image.max()
+    write_image(tmp_path / "hot.tif", hot, (0.3, 0.2, 0.2))
+    verdicts = []
+    for path in (data / "cell.tif", tmp_path / "hot.tif"):
+        out = tmp_path / path.stem
+        _, _, err = run("fit", path, "--seeds", data / "labels.tif", "-o", out)
+        assert ("note: 2 hot voxels" in err) == (path.stem == "hot")
+        verdicts.append(json.loads((out / "report.json").read_text())["verdict"])
+    assert verdicts[0]["grade"] == verdicts[1]["grade"] != "poor"
+    assert verdicts[0]["reasons"] == verdicts[1]["reasons"]
+
+
 @pytest.mark.slow
 def test_an_uneven_background_is_told_and_fitted(data, tmp_path, run):
     image, _ = read_image(data / "cell.tif")

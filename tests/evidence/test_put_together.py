@@ -5,6 +5,7 @@ import pytest
 from test_tilted_ground import SHAPE, SIZE, X, counted
 
 from napari_deltamic import Grid
+from napari_deltamic.errors import RepairWarning
 from napari_deltamic.evidence.put_together import put_together, start_of
 from napari_deltamic.evidence.tilted_ground import tilted_ground
 from napari_deltamic.geometry import sphere
@@ -18,7 +19,7 @@ IMAGE = counted(40 - 20 * X)
 BALL = sphere((3.5, 3.5, 5.0), 1.5, edge_length=0.5)
 
 
-def made(scene, points=None, **how):
+def made(scene, points=None, image=IMAGE, **how):
     """The fit, the image that its start was made of, and what was told."""
     seen, told = [], []
     settings = RunSettings(image="", seeds="", scene=scene)
@@ -27,7 +28,7 @@ def made(scene, points=None, **how):
         seen.append(level)
         return BALL, "rough", points
 
-    job = put_together(settings, IMAGE, GRID, start, tell=lambda *news: told.append(news), **how)
+    job = put_together(settings, image, GRID, start, tell=lambda *news: told.append(news), **how)
     return job, seen[0], told[0]
 
 
@@ -50,6 +51,17 @@ def test_several_points_in_one_surface_are_known(further, crowded):
     job, _, _ = made(SceneSettings(voxel_size=SIZE), points)
     assert job.crowded == crowded
     assert made(SceneSettings(voxel_size=SIZE))[0].crowded == set()
+
+
+def test_nothing_sees_hot_voxels():
+    spoilt = IMAGE.copy()
+    spoilt[5, 6, 7] = spoilt[9, 20, 30] = 100 * IMAGE.max()
+    with pytest.warns(RepairWarning, match="2 hot voxels"):
+        job, level, told = made(SceneSettings(voxel_size=SIZE), image=spoilt)
+    np.testing.assert_array_equal(np.isnan(job.image), spoilt != IMAGE)
+    np.testing.assert_array_equal(np.isnan(level), spoilt != IMAGE)
+    assert not job.has_missing  # of the file
+    assert told[0].sigma == pytest.approx(made(SceneSettings(voxel_size=SIZE))[2][0].sigma, rel=0.1)
 
 
 def test_points_of_seeds_are_told_in_um():

@@ -54,6 +54,16 @@ def test_missing_voxels_stay_missing(plain):
     assert np.isfinite(found.map[1:]).all()
 
 
+def test_hot_voxels_do_not_count_as_light_that_is_not_explained(plain):
+    image, state = plain
+    clean, spoilt = analyse_residual(image, GRID, state), image.copy()
+    spoilt[12, 16, 10] = spoilt[12, 16, 24] = 100 * image.max()
+    found = analyse_residual(spoilt, GRID, state)
+    assert np.isnan(found.map[12, 16, 10])
+    assert found.explained == pytest.approx(clean.explained, abs=0.01)
+    assert len(found.spots) <= 1
+
+
 def test_white_noise_keeps_its_size_at_the_border_and_beside_holes():
     rng = np.random.default_rng(0)
     known = rng.random((30, 40, 40)) < 0.8

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import fit
-from napari_deltamic.fitting.checks import hot_voxels
+from napari_deltamic.fitting.checks import hot_told, hot_voxels, without_hot
 from napari_deltamic.measure import surface_distance
 from synthetic import GRID, OPTICS, VOXEL, measured, start
 
@@ -20,6 +20,19 @@ def test_a_hot_voxel_is_left_out_and_told(image, value):
     assert "2 hot voxels" in states[0].message
     clean = list(fit(image, GRID, start(1), OPTICS))[-1]
     assert surface_distance(states[-1].mesh, clean.mesh).mean < 0.02 * VOXEL
+
+
+def test_hot_voxels_at_the_border_are_found_and_missing(image):
+    spoilt = np.round(image).astype(np.uint16)
+    spoilt[0, 3, 4] = spoilt[12, 0, -1] = 60_000
+    clean, number = without_hot(spoilt, GRID)
+    assert number == 2
+    assert np.argwhere(np.isnan(clean)).tolist() == [[0, 3, 4], [12, 0, 31]]
+    assert without_hot(image, GRID) == (image, 0)
+
+
+def test_one_is_told_as_one():
+    assert hot_told(1) == "1 hot voxel, brighter than any PSF can make one, is left out"
 
 
 def test_noise_and_membranes_are_not_hot(image):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import RepairWarning
+from ..fitting.checks import hot_told, without_hot
 from ..fitting.job import FitInput, assemble, levelled
 from ..geometry import Mesh
 from ..geometry.labels.voxels import voxel_labels
@@ -34,6 +37,8 @@ def put_together(
 ) -> FitInput:
     """A fit that is ready to run. May take seconds.
 
+    Hot voxels, which are told of, are missing in its image: whatever follows goes without them.
+
     Parameters
     ----------
     image : (Z, Y, X); NaN where missing.
@@ -49,6 +54,9 @@ def put_together(
     InputError
         Where something cannot be used.
     """
+    image, hot = without_hot(image, grid)
+    if hot:
+        warnings.warn(hot_told(hot), RepairWarning, stacklevel=2)
     scene, uneven = with_ground(settings.scene, image) if ground else (settings.scene, "")
     level = levelled(image, grid, scene.effects)
     scene, told = with_first_psf(scene, level)
@@ -56,7 +64,7 @@ def put_together(
         tell(scene, uneven, told)
     mesh, kind, points = start(level, grid)
     whole = settings.model_copy(update={"scene": scene})
-    job = assemble(whole, image, grid, mesh, kind, second)
+    job = replace(assemble(whole, image, grid, mesh, kind, second), hot=hot)
     return job if points is None else replace(job, crowded=_crowded(mesh, grid, points))
 
 

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
-from ..fitting.checks import check_image
+from ..fitting.checks import check_image, hot_voxels
 from ..fitting.saturation import filled_in
 from ..fitting.state import FitState
 from ..geometry.mesh import Mesh
@@ -124,7 +124,7 @@ def analyse_residual(
     InputError
         As :func:`napari_deltamic.fit` does for images, or if the fit is that of another image.
     """
-    pixels, known = check_image(image, grid)
+    pixels, known = _seen(image, grid)
     if counted is not None:
         known = known & (np.asarray(counted) != 0)
     expected = fitted.rendered()
@@ -169,10 +169,16 @@ def residual_map(image: np.ndarray, grid: Grid, expected: np.ndarray, optics: Op
     InputError
         As :func:`napari_deltamic.fit` does for images.
     """
-    pixels, known = check_image(image, grid)
+    pixels, known = _seen(image, grid)
     spread = np.sqrt(voxel_variance(image, pixels, known)(expected))
     deviation = _deviation(filled_in(pixels, expected), known, expected, spread)
     return _with_gaps(smoothed(deviation, known, _voxels(optics, grid)), known)
+
+
+def _seen(image: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """The image, and where it is known: what no light has made is left out, as a fit does."""
+    pixels, known = check_image(image, grid)
+    return pixels, known & ~hot_voxels(pixels, known)
 
 
 def _deviation(

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 from torch import Tensor
 
+from ..common.words import counted as number_of
 from ..errors import InputError
 from ..geometry.mesh import FloatArray, Mesh
 from ..images.missing import unmasked
@@ -106,10 +107,32 @@ def hot_voxels(pixels: np.ndarray, known: np.ndarray) -> np.ndarray:
         return np.zeros(pixels.shape, bool)
     around = np.ones((3, 3, 3), bool)
     around[1, 1, 1] = False
-    neighbours = maximum_filter(pixels, footprint=around, mode="nearest")
+    neighbours = maximum_filter(pixels, footprint=around, mode="mirror")
     dark = float(np.median(pixels[known]))
     noise = voxel_noise(pixels, known) or _faintest(pixels[known] - dark)
     return known & (pixels - dark > 4 * np.maximum(neighbours - dark, 3 * noise))
+
+
+def without_hot(image: np.ndarray, grid: Grid) -> tuple[np.ndarray, int]:
+    """An image with NaN for its hot voxels, and how many they are; itself where there is none.
+
+    Raises
+    ------
+    InputError
+        As :func:`check_image` does.
+    """
+    hot = hot_voxels(*check_image(image, grid))
+    number = int(hot.sum())
+    if not number:
+        return image, 0
+    kind = image.dtype if np.issubdtype(image.dtype, np.floating) else np.float32
+    return np.where(hot, np.nan, image).astype(kind), number
+
+
+def hot_told(number: int) -> str:
+    """What users are told of hot voxels."""
+    are = "is" if number == 1 else "are"
+    return f"{number_of(number, 'hot voxel')}, brighter than any PSF can make one, {are} left out"
 
 
 def _faintest(light: np.ndarray) -> float:

@@ -23,7 +23,7 @@ from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
 from .change import Change
-from .checks import check_mesh, check_psf
+from .checks import check_mesh, check_psf, hot_told
 from .default_accuracy import accuracy_for_image
 from .paper import as_in_the_paper
 from .problem import Problem
@@ -125,7 +125,7 @@ def fit(
         run = resumed(run, load_checkpoint(resume))
     run.say(*repairs)
     if problem.hot:
-        run.say(f"{problem.hot} hot voxels, brighter than any PSF can make one, are left out")
+        run.say(hot_told(problem.hot))
     return _states(run)
 
 

@@ -38,6 +38,7 @@ class FitInput:
     predicted : um, mean distance to the true surface that is to be expected; None where it is not
         known.
     crowded : regions in which a user placed several points.
+    hot : how many voxels of the image are NaN since no PSF can have made them so bright.
     """
 
     settings: RunSettings
@@ -50,11 +51,12 @@ class FitInput:
     kind: SeedKind = "rough"
     predicted: float | None = None
     crowded: frozenset[int] = frozenset()
+    hot: int = 0
 
     @property
     def has_missing(self) -> bool:
-        """Whether some voxels are missing."""
-        return bool(np.isnan(self.image).any())
+        """Whether some voxels were missing when the image was read."""
+        return int(np.isnan(self.image).sum()) > self.hot
 
     def with_settings(self, **parts: Any) -> FitInput:
         """The same with other parts of the settings: ``fit``, ``scene``, ``seeds``."""

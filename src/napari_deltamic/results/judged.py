@@ -15,7 +15,7 @@ from ..evidence.unseeded_objects import Stray, strays
 from ..evidence.verdict import Verdict, names_cells
 from ..evidence.voxel_variance import Variance, voxel_variance
 from ..fitting import FitState, counted_voxels
-from ..fitting.checks import check_image
+from ..fitting.checks import check_image, without_hot
 from ..fitting.job import FitInput
 from ..geometry import Mesh
 from ..measure import measure
@@ -104,8 +104,9 @@ def judged_frame(
     counted = None
     if job.kind == "image":  # as tracking does: other cells lie beside those with a seed
         counted = counted_voxels(image, job.grid, before, state.optics)
-    own = replace(job, image=image, mesh=before, counted=counted)
-    verdict = verdict_of(own, state, analyse_residual(image, job.grid, state, counted=counted))
+    seen, _ = without_hot(image, job.grid)
+    own = replace(job, image=seen, mesh=before, counted=counted)
+    verdict = verdict_of(own, state, analyse_residual(seen, job.grid, state, counted=counted))
     return replace(done, grade=verdict.grade, judgement=verdict.sentence())
 
 
