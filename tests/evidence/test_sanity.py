@@ -49,6 +49,14 @@ def test_nanometres_for_micrometres():
     assert "300 200 200" in doubt.sentence
 
 
+def test_voxels_in_the_order_x_y_z():
+    (doubt,) = doubts(membrane(), (0.2, 0.2, 0.3))
+    assert doubt.kind == "voxel size"
+    assert "0.2 um along Y but 0.3 um along X" in doubt.sentence
+    assert "in the order Z Y X?" in doubt.sentence
+    assert kinds(membrane(), (0.3, 0.2, 0.204)) == []  # as after a rounded resampling
+
+
 def test_leaning_slices():
     raw = membrane()
     lean = np.stack([shift(s, (1.4 * (k - 16), 0), mode="nearest") for k, s in enumerate(raw)])

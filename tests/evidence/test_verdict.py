@@ -55,6 +55,7 @@ def test_a_fit_without_fault_is_good():
         ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
+        ({"oblong": (0.25, 0.5)}, "fair", "0.25 um along Y but 0.5 um along X"),
         ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
         ({"alone": True}, "fair", "insides alone may explain as much"),
         ({"nuclei": True}, "fair", "a dim middle was taken for a dark nucleus"),
@@ -231,8 +232,11 @@ def test_facts_of_a_fit(monkeypatch):
     assert facts.slices.brightness < 0.02
     assert not facts.sharpened
     assert facts.dome == 0
+    assert facts.oblong is None
     # The errors of other states, which take longest, are looked at further below.
     monkeypatch.setattr(fit_facts, "predicted_error", lambda *given: facts.error)
+    wide = replace(job, grid=nd.Grid(shape, (0.2, 0.2, 0.4)))
+    assert facts_of(wide, state, analyse_residual(image, grid, state)).oblong == (0.2, 0.4)
     high = float(np.ptp(state.rendered()))
     for place, number, dome in ((0, high, 0.0), (3, -high / 3, 0.5)):  # Legendre's in z
         ground = Background(order=2, coefficients=tuple(number * (k == place) for k in range(9)))

@@ -137,6 +137,8 @@ class Facts:
         Whether dim middles were taken for dark nuclei.
     accuracy
         Relative error that the rendered images might have.
+    oblong
+        Sides of a voxel along Y and X, um, where they differ (:func:`~.sanity.oblong`).
     by_hand
         Whether the shapes were changed by hand after the fit.
     """
@@ -157,4 +159,5 @@ class Facts:
     alone: bool = False
     nuclei: bool = False
     accuracy: float = 0.0
+    oblong: tuple[float, float] | None = None
     by_hand: bool = False

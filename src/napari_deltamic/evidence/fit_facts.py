@@ -32,6 +32,7 @@ from .necks import beyond_necks
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
+from .sanity import oblong
 from .slices_apart import slices_apart
 from .uneven_insides import inside_shares, uneven_insides
 from .unseen_walls import unseen_walls
@@ -82,6 +83,7 @@ def facts_of(
         alone=state.unsure and state.light.membrane > 0,
         nuclei=state.dimmed is not None,
         accuracy=job.settings.fit.image_accuracy,
+        oblong=oblong(size),
         by_hand=is_by_hand(state),
     )
 

@@ -40,6 +40,9 @@ class SanityRules:
     voxel_sides
         um; least and largest side of a voxel in the plane of a light microscope. Chosen, not
         measured: from super-resolution to light sheets of whole animals.
+    oblong
+        The longer over the shorter side of a voxel in the plane. Chosen: cameras and scanners have
+        square pixels, so one that is not is most often the step along Z in another's place.
     psf_ratios
         Width of the PSF along Z over that in the plane. Light microscopes reach from 1 (a thin
         sheet) to about 6 (widefield, low aperture); a wrong step of Z multiplies it. Measured: 0.76
@@ -74,6 +77,7 @@ class SanityRules:
     """
 
     voxel_sides: tuple[float, float] = (0.015, 5.0)
+    oblong: float = 1.05
     psf_ratios: tuple[float, float] = (0.5, 9.0)
     elongations: tuple[float, float] = (0.2, 3.2)
     doubtful_ratios: tuple[float, float] = (0.6, 2.8)
@@ -154,7 +158,7 @@ def doubts(
     if found[0] is None:
         leaning = _lean(middle, voxel_size)
         found.append(leaning)
-        if leaning is None:
+        if leaning is None and found[1] is None:
             found.append(_step(middle, voxel_size, seeds if close else None))
     if seeds is not None and len(seeds.faces):
         grid = Grid(pixels.shape, voxel_size, origin)
@@ -302,7 +306,21 @@ def followed(pixels: np.ndarray, grid: Grid, seeds: Mesh) -> float:
     return between / total if total > 0 else 0.0
 
 
+def oblong(voxel_size: tuple[float, float, float]) -> tuple[float, float] | None:
+    """The sides of a voxel along Y and X, um, where they differ; None where it is square."""
+    y, x = voxel_size[1:]
+    return (y, x) if max(y, x) > RULES.oblong * min(y, x) else None
+
+
 # What is said ----------------------------------------------------------------------------------
+
+
+def oblong_told(sides: tuple[float, float]) -> str:
+    """What users are told of voxels that are not square in the plane; um along Y and X."""
+    return (
+        f"voxels are {sides[0]:g} um along Y but {sides[1]:g} um along X, which is unusual for a "
+        "microscope: is the voxel size in the order Z Y X?"
+    )
 
 
 def _time(pixels: Pixels) -> Doubt | None:
@@ -319,7 +337,8 @@ def _sides(voxel_size: tuple[float, float, float]) -> Doubt | None:
     low, high = RULES.voxel_sides
     plane = voxel_size[1:]
     if min(plane) >= low and max(plane) <= high and voxel_size[0] <= 10 * high:
-        return None
+        sides = oblong(voxel_size)
+        return None if sides is None else Doubt("voxel size", oblong_told(sides))
     shown = " ".join(f"{v:g}" for v in voxel_size)
     return Doubt(
         "voxel size",

@@ -16,6 +16,7 @@ from ..fitting.deep_insides import RULES as DEEP
 from ..geometry.judgement import Judgement
 from .facts import CellFacts, Facts
 from .predicted_error import PredictedError, ShapeDeviation
+from .sanity import oblong_told
 from .verdict_rules import RULES
 
 Grade = Literal["good", "fair", "poor"]
@@ -147,6 +148,8 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.sharpened:
         text = "the image looks deconvolved or smoothed, so bright rims may be artefacts"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
+    if facts.oblong is not None:
+        found.append(("fair", oblong_told(facts.oblong)))
     if facts.accuracy > RULES.accuracy:
         text = f"images are rendered with an error of {facts.accuracy:.0%}, too coarse to judge by"
         found.append(("fair", f"{text} (--accuracy)"))
