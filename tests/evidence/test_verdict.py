@@ -19,7 +19,7 @@ from napari_deltamic.evidence.predicted_error import (
     predicted_error,
 )
 from napari_deltamic.evidence.slices_apart import SlicesApart
-from napari_deltamic.evidence.verdict import judged
+from napari_deltamic.evidence.verdict import RULES, judged
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import sphere
@@ -55,6 +55,8 @@ def test_a_fit_without_fault_is_good():
         ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
+        ({"followed": 0.3}, "poor", "the seeds did not match the image, and the surfaces hardly"),
+        ({"followed": 0.5}, "good", "good"),
         ({"oblong": (0.25, 0.5)}, "fair", "0.25 um along Y but 0.5 um along X"),
         ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
         ({"alone": True}, "fair", "insides alone may explain as much"),
@@ -232,11 +234,14 @@ def test_facts_of_a_fit(monkeypatch):
     assert facts.slices.brightness < 0.02
     assert not facts.sharpened
     assert facts.dome == 0
-    assert facts.oblong is None
+    assert (facts.oblong, facts.followed) == (None, None)
     # The errors of other states, which take longest, are looked at further below.
     monkeypatch.setattr(fit_facts, "predicted_error", lambda *given: facts.error)
     wide = replace(job, grid=nd.Grid(shape, (0.2, 0.2, 0.4)))
     assert facts_of(wide, state, analyse_residual(image, grid, state)).oblong == (0.2, 0.4)
+    elsewhere = replace(job, mesh=sphere((0.8, 0.8, 0.8), 0.4, edge_length=0.2))
+    left = analyse_residual(image, grid, state)
+    assert facts_of(elsewhere, state, left).followed > RULES.followed
     high = float(np.ptp(state.rendered()))
     for place, number, dome in ((0, high, 0.0), (3, -high / 3, 0.5)):  # Legendre's in z
         ground = Background(order=2, coefficients=tuple(number * (k == place) for k in range(9)))

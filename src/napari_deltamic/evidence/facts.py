@@ -139,6 +139,9 @@ class Facts:
         Relative error that the rendered images might have.
     oblong
         Sides of a voxel along Y and X, um, where they differ (:func:`~.sanity.oblong`).
+    followed
+        Share of the image around the surfaces that the way to them explains, where that to the
+        seeds explained hardly any (:func:`~.sanity.followed`); None where it did.
     by_hand
         Whether the shapes were changed by hand after the fit.
     """
@@ -160,4 +163,5 @@ class Facts:
     nuclei: bool = False
     accuracy: float = 0.0
     oblong: tuple[float, float] | None = None
+    followed: float | None = None
     by_hand: bool = False

@@ -32,7 +32,8 @@ from .necks import beyond_necks
 from .outgrowths import outgrowths
 from .predicted_error import predicted_error
 from .residual import Residual
-from .sanity import oblong
+from .sanity import RULES as SANITY
+from .sanity import followed, oblong
 from .slices_apart import slices_apart
 from .uneven_insides import inside_shares, uneven_insides
 from .unseen_walls import unseen_walls
@@ -84,6 +85,7 @@ def facts_of(
         nuclei=state.dimmed is not None,
         accuracy=job.settings.fit.image_accuracy,
         oblong=oblong(size),
+        followed=_followed(job, state, seen),
         by_hand=is_by_hand(state),
     )
 
@@ -190,6 +192,14 @@ def _widths(job: FitInput, state: FitState, images: _Images) -> dict[str, float]
     if state.light.interior:  # the spectrum of insides falls faster than that of membranes
         found = {axis: width for axis, width in found.items() if width < 1}
     return found
+
+
+def _followed(job: FitInput, state: FitState, seen: np.ndarray) -> float | None:
+    """Of what counted, where the image hardly follows the start; None where it does."""
+    if not len(job.mesh.faces) or followed(seen, job.grid, job.mesh) >= SANITY.followed:
+        return None
+    counted = seen if job.counted is None else np.where(job.counted, seen, np.nan)
+    return followed(counted, job.grid, state.mesh)
 
 
 def _dome(job: FitInput, state: FitState, shown: np.ndarray) -> float:

@@ -148,6 +148,9 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
     if facts.sharpened:
         text = "the image looks deconvolved or smoothed, so bright rims may be artefacts"
         found.append(("fair", f"{text} (use the image as the camera took it)"))
+    if facts.followed is not None and facts.followed < RULES.followed:
+        text = "the seeds did not match the image, and the surfaces hardly do"
+        found.append(("poor", f"{text}: are they of the same channel, time and voxel size?"))
     if facts.oblong is not None:
         found.append(("fair", oblong_told(facts.oblong)))
     if facts.accuracy > RULES.accuracy:
