@@ -30,6 +30,11 @@ def test_a_mask_is_one_label():
     assert set(np.unique(repair_labels(two_boxes() > 0).labels)) == {0, 1}
 
 
+def test_cells_that_touch_in_a_mask_are_asked_about():
+    assert "if there are several" in repair_labels(np.where(two_boxes(), 255, 0)).asked[0]
+    assert repair_labels(np.where(two_boxes(), 1, 0)).asked == ()
+
+
 def test_gaps_up_to_a_width_are_shared_out():
     labels = two_boxes(gap=3)
     done = repair_labels(labels, (1, 1, 1), gap=3.5)
@@ -50,7 +55,20 @@ def test_the_largest_part_is_kept_and_the_others_are_named():
 
 def test_a_large_part_that_is_left_out_may_be_a_cell():
     labels = np.where(two_boxes(gap=4) > 0, 3, 0)
+    labels[0, 0, 0] = 4
     assert "give it a number of its own" in repair_labels(labels).remarks[1]
+
+
+@pytest.mark.parametrize("value", [True, 1, 255])
+def test_each_large_part_of_a_mask_is_a_cell(value):
+    labels = np.where(two_boxes(gap=4) > 0, value, False)
+    labels[0, 0, 0] = value
+    done = repair_labels(labels)
+    assert np.array_equal(done.labels, two_boxes(gap=4))
+    assert done.remarks == (
+        f"there is one label, {value:d}, in 2 large parts, as in a mask: each was taken for a "
+        "cell, 1 small part left out; give cells numbers of their own if that is wrong",
+    )
 
 
 def test_holes_are_filled_but_not_with_other_cells():
@@ -91,6 +109,14 @@ def test_cells_cut_by_the_border_are_named():
 def test_one_label_over_most_of_the_image_is_doubted():
     labels = np.ones((6, 6, 6), int)
     assert "is it the background?" in repair_labels(labels).remarks[-1]
+    assert "label 1 fills 73% of the image" in repair_labels(two_boxes() + 1).asked[0]
+
+
+def test_a_cell_that_fills_a_tight_image_is_no_background():
+    places = np.moveaxis(np.indices((21, 21, 21)), 0, -1) - 10
+    ball = np.linalg.norm(places, axis=-1) <= 10
+    assert ball[0].any()
+    assert repair_labels(ball).asked == repair_labels(two_boxes()).asked == ()
 
 
 @pytest.mark.parametrize(

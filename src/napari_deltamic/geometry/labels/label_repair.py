@@ -24,6 +24,9 @@ from napari_deltamic.images.missing import unmasked
 
 _MANY = 1 << 16  # labels up to this number are found faster by number than by rank
 _ROUNDING = 1e-6  # um, of distances: a gap exactly as wide as asked for is closed
+_WHITE = 255  # of masks, by definition of 8 bits
+_SPECK = 27  # voxels, chosen: a part of a mask with fewer is no cell
+_SIDE, _SIDES = 0.5, 5  # share of a side of the image, chosen, and of how many sides: background
 _SMALL_PART = 0.1  # a part of a label larger than this share of it may be a cell of its own
 
 
@@ -34,16 +37,18 @@ class RepairedLabels:
     labels : (Z, Y, X) int32, each label in one part, without holes; 0 = outside.
     repairs : a sentence for each change.
     doubts : a sentence for each thing that may be wrong and was left as it is.
+    asked : the same of what is hardly meant.
     """
 
     labels: NDArray[np.int32]
     repairs: tuple[str, ...]
     doubts: tuple[str, ...]
+    asked: tuple[str, ...] = ()
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """All that a user should know."""
-        return self.repairs + self.doubts
+        return self.repairs + self.doubts + self.asked
 
 
 def repair_labels(
@@ -54,7 +59,8 @@ def repair_labels(
 ) -> RepairedLabels:
     """Bring a segmentation into the form that `mesh_from_labels` takes.
 
-    Whole numbers kept as floats become integers, empty slices between others that have labels are
+    Whole numbers kept as floats become integers, each large part of a mask (an image of one label)
+    becomes a cell, empty slices between others that have labels are
     filled, holes are filled, of a label in several parts the
     largest is kept, voxels that several layers claim go to the cell that they lie deepest in, gaps
     up to a width are shared out. Labels that touch the border are kept and named: their surfaces
@@ -86,10 +92,12 @@ def repair_labels(
     if filled:
         were = "was" if filled == 1 else "were"
         repairs.append(f"{counted(filled, 'slice')} without labels {were} filled in between others")
+    if len(layers) == 1:
+        numbers = _mask_as_cells(numbers, repairs)
     numbers = _in_one_part(numbers, repairs)
     if gap > 0:
         numbers = _closed(numbers, size, gap, repairs)
-    return RepairedLabels(numbers, tuple(repairs), tuple(_doubts(numbers)))
+    return RepairedLabels(numbers, tuple(repairs), tuple(_doubts(numbers)), _asked(numbers))
 
 
 def label_boxes(labels: NDArray[Any]) -> list[tuple[int, tuple[slice, ...]]]:
@@ -169,6 +177,32 @@ def _together(
     return result
 
 
+def _mask_as_cells(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.int32]:
+    """The parts of the only label, numbered, where several are large; else the labels as given.
+
+    What thresholds give, and programs that write masks; one cell is in one part.
+    """
+    names = np.unique(numbers[numbers > 0])
+    if len(names) != 1:
+        return numbers
+    parts, _ = ndimage.label(numbers)
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    large = np.flatnonzero((sizes > _SMALL_PART * sizes.max()) & (sizes >= _SPECK))
+    if len(large) < 2:
+        return numbers
+    cells = np.zeros(len(sizes), np.int32)
+    cells[large] = np.arange(1, len(large) + 1)
+    few = int(np.count_nonzero(sizes)) - len(large)
+    left = f", {counted(few, 'small part')} left out" if few else ""
+    repairs.append(
+        f"there is one label, {names[0]}, in {len(large)} large parts, as in a mask: each was "
+        f"taken for a cell{left}; give cells numbers of their own if that is wrong"
+    )
+    found: NDArray[np.int32] = cells[parts]
+    return found
+
+
 def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.int32]:
     result = numbers.copy()
     broken, large, holes, torn = [], [], [], 0
@@ -237,8 +271,6 @@ def share_out_gaps(numbers: NDArray[Any], spacing: FloatArray, reach: float) -> 
 
 def _doubts(numbers: NDArray[np.int32]) -> list[str]:
     remarks = []
-    names = np.unique(numbers)
-    names = names[names > 0]
     border = np.zeros(numbers.shape, bool)
     for axis in range(3):
         sides = np.moveaxis(border, axis, 0)
@@ -248,8 +280,23 @@ def _doubts(numbers: NDArray[np.int32]) -> list[str]:
         remarks.append(
             f"{listed('label', cut)}: cut by the border of the image; the surface is closed there"
         )
-    if len(names) == 1 and (numbers > 0).mean() > 0.5:
-        remarks.append(
-            "one label covers more than half of the image: is it the background? It should be 0"
-        )
     return remarks
+
+
+def _asked(numbers: NDArray[np.int32]) -> tuple[str, ...]:
+    """A label that has most of nearly every side of the image is the background, as a rule, and an
+    only label of 255 is the mask of a program, in which cells that touch are one."""
+    if set(np.unique(numbers)) <= {0, _WHITE}:
+        return (
+            f"the only label is {_WHITE}, as in a mask, and is taken for one cell: if there are "
+            "several, give each a number of its own",
+        )
+    sides = [np.take(numbers, end, axis) for axis in range(3) for end in (0, -1)]
+    usual = [np.unique(side, return_counts=True) for side in sides]
+    most = [int(n[c.argmax()]) for n, c in usual if c.max() > _SIDE * c.sum()]
+    names = [k for k in sorted(set(most)) if k > 0 and most.count(k) >= _SIDES]
+    return tuple(
+        f"label {k} fills {(numbers == k).mean():.0%} of the image and most of its sides: is it "
+        "the background? It should be 0"
+        for k in names
+    )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from napari_deltamic.errors import InputError, RepairWarning, listed
+from napari_deltamic.errors import DoubtWarning, InputError, RepairWarning, listed
 from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.contacts import label_contacts
 from napari_deltamic.geometry.labels.dark_gaps import with_dark_gaps
@@ -127,6 +127,8 @@ def surfaces_of_labels(
     repaired = repair_labels(labels, size)
     for repair in repaired.repairs:
         warnings.warn(repair, RepairWarning, stacklevel=3)
+    for question in repaired.asked:
+        warnings.warn(question, DoubtWarning, stacklevel=3)
     whole, marks = repaired.labels, list[int]()
     if image is not None:
         seen = np.asarray(image)
