@@ -25,10 +25,10 @@ def test_a_hot_voxel_is_left_out_and_told(image, value):
 def test_hot_voxels_at_the_border_are_found_and_missing(image):
     spoilt = np.round(image).astype(np.uint16)
     spoilt[0, 3, 4] = spoilt[12, 0, -1] = 60_000
-    clean, number = without_hot(spoilt, GRID)
+    clean, number = without_hot(spoilt)
     assert number == 2
     assert np.argwhere(np.isnan(clean)).tolist() == [[0, 3, 4], [12, 0, 31]]
-    assert without_hot(image, GRID) == (image, 0)
+    assert without_hot(image) == (image, 0)
 
 
 def test_one_is_told_as_one():

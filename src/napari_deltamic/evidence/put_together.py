@@ -54,7 +54,7 @@ def put_together(
     InputError
         Where something cannot be used.
     """
-    image, hot = without_hot(image, grid)
+    image, hot = without_hot(image)
     if hot:
         warnings.warn(hot_told(hot), RepairWarning, stacklevel=2)
     scene, uneven = with_ground(settings.scene, image) if ground else (settings.scene, "")

@@ -113,15 +113,15 @@ def hot_voxels(pixels: np.ndarray, known: np.ndarray) -> np.ndarray:
     return known & (pixels - dark > 4 * np.maximum(neighbours - dark, 3 * noise))
 
 
-def without_hot(image: np.ndarray, grid: Grid) -> tuple[np.ndarray, int]:
+def without_hot(image: np.ndarray) -> tuple[np.ndarray, int]:
     """An image with NaN for its hot voxels, and how many they are; itself where there is none.
 
-    Raises
-    ------
-    InputError
-        As :func:`check_image` does.
+    image : (Z, Y, X); one that no fit could take is given back as it is.
     """
-    hot = hot_voxels(*check_image(image, grid))
+    if image.ndim != 3 or not image.size:
+        return image, 0
+    known = np.isfinite(image)
+    hot = hot_voxels(np.where(known, image, 0).astype(np.float32), known)
     number = int(hot.sum())
     if not number:
         return image, 0

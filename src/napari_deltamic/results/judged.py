@@ -104,7 +104,7 @@ def judged_frame(
     counted = None
     if job.kind == "image":  # as tracking does: other cells lie beside those with a seed
         counted = counted_voxels(image, job.grid, before, state.optics)
-    seen, _ = without_hot(image, job.grid)
+    seen, _ = without_hot(image)
     own = replace(job, image=seen, mesh=before, counted=counted)
     verdict = verdict_of(own, state, analyse_residual(seen, job.grid, state, counted=counted))
     return replace(done, grade=verdict.grade, judgement=verdict.sentence())
