@@ -60,6 +60,7 @@ def test_nothing_sees_hot_voxels():
         job, level, told = made(SceneSettings(voxel_size=SIZE), image=spoilt)
     np.testing.assert_array_equal(np.isnan(job.image), spoilt != IMAGE)
     np.testing.assert_array_equal(np.isnan(level), spoilt != IMAGE)
+    assert job.as_read is spoilt
     assert not job.has_missing  # of the file
     assert told[0].sigma == pytest.approx(made(SceneSettings(voxel_size=SIZE))[2][0].sigma, rel=0.1)
 

@@ -121,8 +121,8 @@ def test_random_blobs_are_manifold() -> None:
         (np.zeros((4, 4, 4), int), None, "no labels"),
         (np.ones((4, 4), int), None, "labels are 2D"),
         (np.full((4, 4, 4), 0.5), None, "not whole numbers"),
-        (np.ones((4, 4, 4), int), 0.0, "edge length must be positive"),
-        (np.ones((4, 4, 4), int), 1e-4, "edges of 0.0001 um are too short"),
+        (np.pad(np.ones((4, 4, 4), int), 2), 0.0, "edge length must be positive"),
+        (np.pad(np.ones((4, 4, 4), int), 2), 1e-4, "edges of 0.0001 um are too short"),
         (np.pad(np.ones((1, 1, 1), int), 4), 50.0, "label 1 is too small for edges of 50 um"),
     ],
 )

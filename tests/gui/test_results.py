@@ -348,7 +348,7 @@ def from_file(make_widget, with_image, pixels, tmp_path, monkeypatch, spin):
         spin(lambda: not widget.commands.background.busy)
         words = shlex.split(more_actions.QApplication.clipboard().text())
         job = gather(build_parser().parse_args(words[1:]), Notes())
-        return words[2], job.image
+        return words[2], job.as_read
 
     return layer, copied, tmp_path
 
@@ -360,6 +360,7 @@ def test_the_file_is_used_where_it_holds_what_is_shown(from_file, pixels):
     np.testing.assert_array_equal(image, pixels)
 
 
+@pytest.mark.filterwarnings("ignore:1 hot voxel")
 def test_edited_pixels_are_saved_beside_the_file(from_file, pixels):
     layer, copied, folder = from_file
     edited = pixels.copy()

@@ -56,7 +56,7 @@ def test_what_is_left_out_of_a_fit_is_told_until_the_cells_change(
     widget.stop()
     spin(lambda: not widget.doc.running)
     assert texts(widget.seeds) == [
-        "1 of 2 labels is left out: label 8 is too small for edges of 0.6 um"
+        "1 of 2 labels is left out: label 8 is too small for edges of 0.4 um"
     ]
     labels.data_setitem((np.array([15]), np.array([20]), np.array([20])), 0)
     spin(lambda: not texts(widget.seeds))

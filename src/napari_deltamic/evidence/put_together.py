@@ -54,6 +54,7 @@ def put_together(
     InputError
         Where something cannot be used.
     """
+    as_read = image
     image, hot = without_hot(image)
     if hot:
         warnings.warn(hot_told(hot), RepairWarning, stacklevel=2)
@@ -64,7 +65,8 @@ def put_together(
         tell(scene, uneven, told)
     mesh, kind, points = start(level, grid)
     whole = settings.model_copy(update={"scene": scene})
-    job = replace(assemble(whole, image, grid, mesh, kind, second), hot=hot)
+    job = assemble(whole, image, grid, mesh, kind, second)
+    job = replace(job, with_hot=as_read) if hot else job
     return job if points is None else replace(job, crowded=_crowded(mesh, grid, points))
 
 

@@ -20,6 +20,7 @@ from ..scene import Grid
 from ..scene.effects import Effects
 from ..scene.render import offset
 from . import FitState, counted_voxels, fit
+from .checks import without_hot
 from .default_accuracy import image_noise
 from .found_psf import settings_of
 from .shape_dial import Situation, dialled, with_edges
@@ -38,7 +39,8 @@ class FitInput:
     predicted : um, mean distance to the true surface that is to be expected; None where it is not
         known.
     crowded : regions in which a user placed several points.
-    hot : how many voxels of the image are NaN since no PSF can have made them so bright.
+    with_hot : the image as it was read, if some of its voxels are missing here, as no PSF can have
+        made them so bright.
     """
 
     settings: RunSettings
@@ -51,12 +53,22 @@ class FitInput:
     kind: SeedKind = "rough"
     predicted: float | None = None
     crowded: frozenset[int] = frozenset()
-    hot: int = 0
+    with_hot: NDArray[Any] | None = None
 
     @property
     def has_missing(self) -> bool:
         """Whether some voxels were missing when the image was read."""
-        return int(np.isnan(self.image).sum()) > self.hot
+        return bool(np.isnan(self.as_read).any())
+
+    @property
+    def as_read(self) -> NDArray[Any]:
+        """(Z, Y, X) the image with its hot voxels."""
+        return self.image if self.with_hot is None else self.with_hot
+
+    def without_hot(self) -> FitInput:
+        """The same, with hot voxels missing."""
+        image, hot = without_hot(self.image)
+        return replace(self, image=image, with_hot=self.image) if hot else self
 
     def with_settings(self, **parts: Any) -> FitInput:
         """The same with other parts of the settings: ``fit``, ``scene``, ``seeds``."""

@@ -38,7 +38,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
     doc = parts.doc
     dims, frame = doc.viewer.dims, doc.image.frame()
     result, left_out = _result(doc, frame)
-    pixels = result[1].image if result else doc.image.stack()
+    pixels = result[1].as_read if result else doc.image.stack()
     shown = {"scene": doc.settings.scene_settings()}  # with the widths of a PSF that is open
     step, point = tuple(dims.current_step), tuple(float(p) for p in dims.point)
     tracks = parts.tracking.saved()
@@ -218,7 +218,7 @@ def _show_result(doc: Document, result: SavedResult, session: Session) -> Genera
         second=second.pixels if second is not None and has_second else None,
     )
     doc.select(())
-    yield from doc.reopen(result, job)
+    yield from doc.reopen(result, job.without_hot())
 
 
 # ---- panels --------------------------------------------------------------------------------------
