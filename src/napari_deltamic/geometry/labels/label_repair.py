@@ -60,11 +60,10 @@ def repair_labels(
     """Bring a segmentation into the form that `mesh_from_labels` takes.
 
     Whole numbers kept as floats become integers, each large part of a mask (an image of one label)
-    becomes a cell, empty slices between others that have labels are
-    filled, holes are filled, of a label in several parts the
-    largest is kept, voxels that several layers claim go to the cell that they lie deepest in, gaps
-    up to a width are shared out. Labels that touch the border are kept and named: their surfaces
-    are closed there, where no membrane is.
+    becomes a cell, empty slices between others that have labels are filled, holes are filled, of a
+    label in several parts the largest is kept, voxels that several layers claim go to the cell that
+    they lie deepest in, gaps up to a width are shared out. Labels that touch the border are kept
+    and named: their surfaces are closed there, where no membrane is.
 
     Parameters
     ----------
