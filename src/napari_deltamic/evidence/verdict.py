@@ -128,7 +128,8 @@ def _of_whole(facts: Facts) -> list[tuple[Grade, str]]:
         text = "the image shows the light cone of an objective, which a Gaussian PSF lacks"
         found.append(("fair", f"{text}: describe it (--modality, --na, --wavelength)"))
     if facts.narrow:
-        found.append(("fair", "the fitted PSF is too narrow for the voxels (--no-fit-psf)"))
+        text = "the fitted PSF is too narrow for the voxels"
+        found.append(("fair", f"{text}: it stands in for something else, such as texture or haze"))
     if facts.cut > RULES.cut:
         text = f"{facts.cut:.0%} of the bright voxels are saturated: their brightness is a guess"
         grade: Grade = "poor" if facts.cut > RULES.cut_most else "fair"
