@@ -139,10 +139,11 @@ def test_what_concerns_one_cell(change, grade, word):
 @pytest.mark.parametrize(
     ("parts", "grade", "word"),
     [
-        ((0.02, 0.0, 0.01), "good", "off by about 4 nm"),
-        ((0.5, 0.1, 0.1), "fair", "0.52 voxels, mostly from the noise"),
+        ((0.02, 0.0, 0.01), "good", "off by about 7 nm"),
+        ((0.5, 0.1, 0.1), "fair", "0.78 voxels, mostly from the noise"),
         ((0.1, 0.6, 0.1), "fair", "too few iterations"),
-        ((0.1, 0.1, 0.1, 0.7), "fair", "triangles that are too large"),
+        ((0.1, 0.1, 0.1, 0.6), "fair", "triangles that are too large"),
+        ((0.1, 0.1, 0.1, 0.5, 0.6), "fair", "0.99 voxels, mostly from triangles"),
         ((0.1, 0.1, 0.1, 0.1, 2.0), "poor", "what the model lacks (light inside)"),
     ],
 )
@@ -194,9 +195,9 @@ def test_the_error_told_is_that_of_the_cell_in_the_middle_as_the_grade_is():
     error = PredictedError(large, {1: small, 2: small, 3: large})
     cells = tuple(CellFacts(k, 0.9) for k in (1, 2, 3))
     found = judged(replace(FINE, cells=cells, error=error))
-    assert found.sentence().startswith("good, off by about 10 nm: cell 3 is poor (")
+    assert found.sentence().startswith("good, off by about 15 nm: cell 3 is poor (")
     both = judged(replace(FINE, cells=cells[1:], error=error))
-    assert both.sentence().startswith("poor, off by about 5000 nm")
+    assert both.sentence().startswith("poor, off by about 7500 nm")
 
 
 def test_cells_that_are_no_better_have_the_usual_reason_with_them():

@@ -21,6 +21,13 @@ from .verdict_rules import RULES
 
 Grade = Literal["good", "fair", "poor"]
 GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
+_PARTS = {
+    "noise": "the noise",
+    "settling": "too few iterations",
+    "prior": "the prior on its shape",
+    "triangles": "triangles that are too large",
+    "alternative": "what the model lacks ({lacks})",
+}
 
 
 @dataclass(frozen=True)
@@ -298,14 +305,8 @@ def _of_error(predicted: ShapeDeviation, facts: Facts) -> list[tuple[Grade, str]
     if off <= RULES.error_good:
         return []
     word: Grade = "fair" if off <= RULES.error_fair else "poor"
-    parts = {
-        "the noise": predicted.noise,
-        "too few iterations": predicted.settling,
-        "the prior on its shape": predicted.prior,
-        "triangles that are too large": predicted.triangles,
-        f"what the model lacks ({facts.error.lacks})": predicted.alternative,
-    }
-    most = max(parts, key=lambda name: parts[name])
+    shares = predicted.shares()
+    most = _PARTS[max(shares, key=lambda name: shares[name])].format(lacks=facts.error.lacks)
     return [(word, f"its surface is off by about {off:.2g} voxels, mostly from {most}")]
 
 
