@@ -36,8 +36,8 @@ class PredictedErrorRules:
     times
         What surfaces are off by, over what the fit itself tells of it: no model is right in all.
         Measured on 54 scenes (``benchmarks.defaults`` on f7b2103) and 52 random ones, without those
-        graded poor: 1.45 and 1.60 in the median; 0.97 and 1.09 with this, and two thirds within 0.73
-        to 1.2 and 0.72 to 2.2. A multiple of alternatives as well scatters more.
+        graded poor: 1.45 and 1.60 in the median, 0.97 and 1.09 with this, and two thirds within
+        0.73 to 1.2 and 0.72 to 2.2. A multiple of alternatives as well scatters more.
     """
 
     as_good: float = 0.5
