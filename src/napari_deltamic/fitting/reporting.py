@@ -81,8 +81,7 @@ def verdict(
     message = stuck or ("converged" if finished else "")
     message = message or f"stopped after {iteration} iterations, before it converged"
     further = "" if stuck else told_shrunken(points)
-    still = ""
     if finished and not stuck and moving is not None:
         z, y, x = moving
-        still = f"the surface still moves at ({z:.1f}, {y:.1f}, {x:.1f}) um"
-    return joined(message, so_far, further, still), finished and not stuck
+        message += f", except at ({z:.1f}, {y:.1f}, {x:.1f}) um, where the surface still moves"
+    return joined(message, so_far, further), finished and not stuck
