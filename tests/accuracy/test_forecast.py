@@ -10,6 +10,7 @@ import pytest
 
 from napari_deltamic import fit
 from napari_deltamic.accuracy.forecast import forecast
+from napari_deltamic.accuracy.iteration_costs import FORECAST
 from napari_deltamic.accuracy.machine_costs import costs
 from napari_deltamic.fourier.cost import BUILT_IN, Rates
 from napari_deltamic.geometry import Mesh, sphere
@@ -28,8 +29,9 @@ def expected(settings=WIDE, mesh=None, grid=GRID, costs=BUILT_IN, **options):
 
 
 def test_fewer_iterations_are_expected_where_no_other_neighbours_are_tried():
+    two = Mesh.merge([start(), start()])
     tried, not_tried = (
-        expected(NEAR.model_copy(update={"trials": trials}), touching=True)
+        expected(NEAR.model_copy(update={"trials": trials}), two, touching=True)
         for trials in (True, False)
     )
     assert not_tried.seconds < tried.seconds
@@ -170,7 +172,8 @@ def test_what_remains_falls_as_the_fit_goes_on():
     assert all(b <= a * 1.001 for a, b in pairwise(known))
     begun = spent[remaining.index(known[0])]
     assert known[0] == pytest.approx(found.seconds - begun, rel=0.05)
-    assert known[-1] < 0.1 * found.seconds
+    last = found.levels[-1].seconds_per_iteration
+    assert known[-1] == pytest.approx(FORECAST.window * last, rel=0.01)
 
 
 def test_the_pace_so_far_corrects_it():

@@ -25,18 +25,18 @@ class ForecastRules:
     Attributes
     ----------
     first, coarse, last
-        Iterations of the first level, of those between, and of the last one, from far away. Cow and
-        fish at 64^3 from a sphere, without noise and with 40 and 10 photons, levels 5 to 1: 10 to
-        20, then 30 each, and 20 to 50 at the end; one to three cells of the samples: 18 to 22.
+        Iterations of the first level, of those between, and of the last one, from far away. Of all
+        five levels, 66 to 184 in 18 scenes of ``benchmarks.defaults`` (f7b2103), 106 in the median.
     near_blur, near_coarse, near_last
         Where seeds lie near the membranes, which is where the first blur is less than the first of
-        these. Measured with foams of 4 to 16 cells, levels 2 to 1: 32, 27 to 32, 15 to 50. At one
-        level alone (``benchmarks.eta`` and more of its kind): vesicles and single cells 11 to 18,
-        two cells that come near to each other, and a dividing one, 88 and 106.
+        these. Measured with foams of 4 to 16 cells, levels 2 to 1: 32, 27 to 32, 15 to 50.
+    alone
+        Of a level alone. Measured on 21 scenes without cells that touch (as above): 23 to 85, 50 in
+        the median; vesicles and single cells of the samples take 11 to 18.
     neighbours
-        Where cells touch, other neighbours are tried at the end: so many iterations times the cube
-        root of the number of cells. Measured: foams of 5, 8 and 12 cells took 47, 30 and 52
-        iterations near to their seeds, 41, 41 and 42 at the last level from far away.
+        Where cells touch, other neighbours are tried at the end: so many iterations more times how
+        much more than 1 the cube root of the number of cells is. Measured: 35 to 199 in 11 scenes
+        (as above), most where most cells touch; foams of 5, 8 and 12 cells took 47, 30 and 52.
     freer
         Times the last level where density or PSF are fitted as well. Measured on a ball: 15
         iterations with the PSF, 13 without.
@@ -49,11 +49,10 @@ class ForecastRules:
     smooth
         Times all of this where the brightness is smooth. Measured: 1.2 to 1.3 in a foam of 8.
     posing, posing_first, posing_alone
-        Times all of that: every few iterations the objective is posed anew, and what may shine and
-        which cells touch is looked at. Measured beside the forecast without it, in samples, foams
-        of 5 to 12 cells and vesicles: at the last of several levels 0.9 to 1.2 times, later 1.3 to
-        1.6 in four fits of samples, mean over median of its iterations; at the first
-        1.6 to 3.6 (one of ten 0.7), at a level alone 1.6 to 4.5, with 2.2 in the median.
+        Times all of that: every few iterations the objective is posed anew, and other models, and
+        which cells touch, are tried. Measured beside the forecast without it, as above: a level
+        alone 1.7 to 13, 3.4 in the median; all levels together 2.2 times as long as with 1.7 for
+        the first and 1.35 for others, which samples had taken before models were compared.
     begun, begun_last
         Iterations, without their posing, that the first objective of a level takes: 4 to 15 in
         these, at the last level 9 to 30.
@@ -82,20 +81,21 @@ class ForecastRules:
     """
 
     first: int = 20
-    coarse: int = 30
+    coarse: int = 20
     last: int = 25
     near_blur: float = 2.0
     near_coarse: int = 25
     near_last: int = 18
+    alone: int = 38
     neighbours: int = 27
     freer: float = 1.3
     solves: float = 3.0
     apart: float = 5.0
     overhead: float = 1.0
     smooth: float = 1.3
-    posing: float = 1.35
-    posing_first: float = 1.7
-    posing_alone: float = 2.2
+    posing: float = 3.0
+    posing_first: float = 3.7
+    posing_alone: float = 3.4
     begun: float = 8.0
     begun_last: float = 20.0
     factoring: float = 100.0
@@ -119,12 +119,10 @@ def iterations_of(
     near = factors[0] < FORECAST.near_blur
     if number < len(factors):
         return FORECAST.near_coarse if near else FORECAST.first if first else FORECAST.coarse
-    if tried:
-        return round(FORECAST.neighbours * tried ** (1 / 3))
     free = settings.fit_psf or settings.density != "uniform"
-    return round(
-        (FORECAST.near_last if near else FORECAST.last) * (FORECAST.freer if free else 1.0)
-    )
+    near_last = FORECAST.alone if len(factors) == 1 else FORECAST.near_last
+    wanted = (near_last if near else FORECAST.last) * (FORECAST.freer if free else 1.0)
+    return round(wanted + FORECAST.neighbours * max(tried ** (1 / 3) - 1, 0.0))
 
 
 def posing_of(number: int, levels: int) -> float:
