@@ -23,6 +23,7 @@ from napari_deltamic.evidence.verdict import RULES, judged
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.border import cut_cells
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 from napari_deltamic.scene.effects import Background, Effects
@@ -319,8 +320,22 @@ def test_facts_of_a_fit(monkeypatch):
     wide_told = replace(wide, settings=told)
     known = facts_of(wide_told, state, analyse_residual(image, grid, state))
     assert not known.cells[0].small
-    moved = replace(state, mesh=state.mesh.translated((-0.75, 0, 0)))
+    moved = replace(state, mesh=state.mesh.translated((-0.85, 0, 0)))
     assert facts_of(job, moved, analyse_residual(image, grid, state)).cells[0].cut
+
+
+@pytest.mark.parametrize(("top", "cut"), [(0.3, False), (-1.0, True)])
+def test_a_cell_that_ends_just_within_the_image_is_not_cut_by_its_border(top, cut):
+    """Voxels within its membrane and beyond it tell where it ends; top : voxels from the last."""
+    size, middle = (0.2, 0.2, 0.2), (1.4 + 0.2 * top, 2.3, 2.3)
+    grid, optics = nd.Grid((18, 24, 24), size), nd.GaussianPSF((0.24, 0.24, 0.24))
+    whole = nd.Grid((28, 24, 24), size, (-2.0, 0.0, 0.0))
+    image = nd.render(sphere(middle, 1.4, edge_length=0.3), whole, optics).numpy()[10:]
+    image = np.random.default_rng(0).poisson(20 + 200 * image / image.max()).astype(np.float32)
+    *_, state = fit(image, grid, sphere(middle, 1.25, edge_length=0.4), optics)
+    end = state.mesh.vertices_numpy()[:, 0].min() / size[0]
+    assert end == pytest.approx(top, abs=0.3)
+    assert bool(cut_cells(state.mesh, grid)) is cut
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ class CellFacts:
     growth
         Volume over that of the start; None where the start had no such cell.
     cut
-        Whether it reaches the border of the image.
+        Whether the border of the image cuts it (:func:`~.geometry.border.cut_cells`).
     inside
         Brightness deep inside less that outside, over that of the surface; None where the cell is
         too small to have a deep inside.

@@ -17,10 +17,10 @@ from ..fitting.noise_blur import is_sharpened, is_white
 from ..fitting.saturation import filled_in, share_cut
 from ..fitting.state import FitState
 from ..fitting.voxel_ownership import surface_shares
+from ..geometry.border import cut_cells
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF
 from ..optics.narrow import narrower_than_told
-from ..scene import Grid
 from ..scene.render import offset
 from .compressed_brightness import compressed
 from .dents import dents
@@ -114,7 +114,7 @@ def _cells(
     if state.light.interior < 0:
         medium = dark_insides_shown(place, images.seen, images.shown, everywhere)
     volumes, uneven = mesh.volumes(), uneven_insides(job, state, images.rendered)
-    known, lit, cut = np.isfinite(np.asarray(job.image)), _lit(state), _cut(mesh, job.grid)
+    known, lit, cut = np.isfinite(np.asarray(job.image)), _lit(state), cut_cells(mesh, job.grid)
     seen = surface_shares(known, job.grid, mesh)
     may = known if job.counted is None else known & job.counted
     counted = surface_shares(may, job.grid, mesh)
@@ -265,13 +265,3 @@ def _roundness(mesh: Mesh) -> dict[int, float]:
         for region, volume in mesh.volumes().items()
         if areas.get(region)
     }
-
-
-def _cut(mesh: Mesh, grid: Grid) -> set[int]:
-    """Cells whose surface comes within a voxel of the border of the image."""
-    low, high = (np.asarray(side) for side in grid.extent)
-    half = np.asarray(grid.voxel_size) / 2
-    places = mesh.vertices_numpy()
-    outside = np.logical_or(places < low + half, places > high - half)
-    beyond = np.flatnonzero(outside.any(axis=1))
-    return {int(r) for r in np.unique(mesh.regions[np.isin(mesh.faces, beyond).any(1)]) if r}

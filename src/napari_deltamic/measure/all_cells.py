@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from napari_deltamic.common.table import Table, Value, columns, notes, table_of
+from napari_deltamic.geometry.border import cut_cells
 from napari_deltamic.geometry.contacts import contact_areas, neighbours, wall_areas
 from napari_deltamic.geometry.mesh import OUTSIDE
 from napari_deltamic.measure.cells import measure_cells, moments, principal_axes
@@ -68,7 +69,7 @@ _CUT = "the border of the image cuts it"
 
 def cells_table(sides: Sides, known: Known, pressures: Mapping[int, Estimate]) -> Table:
     """One row for each cell, by region number."""
-    cut = known.cut(sides)
+    cut = None if known.grid is None else cut_cells(sides.mesh, known.grid)
     parts = (
         measure_cells(sides.mesh),
         _axes(sides),
@@ -77,13 +78,13 @@ def cells_table(sides: Sides, known: Known, pressures: Mapping[int, Estimate]) -
         _densities(sides, known),
     )
     rows = []
-    for k, (region, *found) in enumerate(zip(sides.cells.tolist(), *parts, strict=True)):
+    for region, *found in zip(sides.cells.tolist(), *parts, strict=True):
         row: dict[str, Value] = {}
         for part in found:
             row |= part
         pressure = pressures.get(region, Estimate())
         row["pressure_per_um"], row["pressure_se_per_um"] = pressure.value, pressure.error
-        row["cut_by_border"] = None if cut is None else "yes" if cut[k] else "no"
+        row["cut_by_border"] = None if cut is None else "yes" if region in cut else "no"
         row["explained"] = known.explained.get(region)
         judged = known.judgements.get(region)
         if judged is not None:
@@ -92,7 +93,7 @@ def cells_table(sides: Sides, known: Known, pressures: Mapping[int, Estimate]) -
             said := "" if judged is None else judged.reasons,
             _about_volume(row),
             _about_curvature(row),
-            _CUT if cut is not None and cut[k] and _CUT not in said else "",
+            _CUT if row["cut_by_border"] == "yes" and _CUT not in said else "",
             _about_pressure(row, pressure),
         )
         rows.append(row)

@@ -4,24 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from napari_deltamic.errors import InputError
+from napari_deltamic.geometry.border import ImageGrid
 from napari_deltamic.geometry.judgement import Judgement
 from napari_deltamic.geometry.mesh import FloatArray, Mesh
 from napari_deltamic.geometry.replicas import Replicas
-from napari_deltamic.measure.sides import Sides
-
-
-class ImageGrid(Protocol):
-    """Where the voxels of an image lie, um; a ``Grid`` is one."""
-
-    @property
-    def extent(self) -> tuple[NDArray, NDArray]:
-        """Centres of the first and the last voxel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,20 +44,3 @@ class Known:
         if not 0 <= self.resolution < np.inf:
             raise InputError(f"the resolution must be a length (um), not {self.resolution}")
         return self
-
-    def beyond(self, mesh: Mesh) -> NDArray[np.bool_] | None:
-        """(V,) vertices at or beyond the centres of the outermost voxels; None without a grid."""
-        if self.grid is None:
-            return None
-        first, last = self.grid.extent
-        v = mesh.vertices_numpy()
-        return np.asarray(((v <= first) | (v >= last)).any(axis=1), np.bool_)
-
-    def cut(self, sides: Sides) -> NDArray[np.bool_] | None:
-        """(C,) whether a cell reaches beyond the centres of the outermost voxels."""
-        beyond = self.beyond(sides.mesh)
-        if beyond is None:
-            return None
-        touched = beyond[sides.mesh.faces[sides.face]].any(1)
-        found: NDArray[np.bool_] = sides.total(touched.astype(float)) > 0
-        return found

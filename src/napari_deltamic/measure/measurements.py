@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from napari_deltamic.common.table import Table
+from napari_deltamic.geometry.border import beyond
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.measure.all_cells import cells_table
 from napari_deltamic.measure.all_walls import junctions_table, walls_table
@@ -72,8 +73,7 @@ def _measured(
 ) -> Measurements:
     sides, curvature = Sides.of(mesh), wall_curvature(mesh)
     pairs = [(a, b) for a, b in mesh.interfaces()[0].tolist()]
-    beyond = known.beyond(mesh)
-    cut = None if beyond is None else mesh.vertices_numpy()[beyond]
+    cut = None if known.grid is None else mesh.vertices_numpy()[beyond(mesh, known.grid)]
     junctions = junction_angles(mesh, reach, cut)
     tensions = relative_tensions(junctions, pairs, known.resolution, settings)
     walls = walls_table(mesh, known, curvature, tensions)
