@@ -18,8 +18,10 @@ from napari_deltamic.evidence.predicted_error import (
     ShapeDeviation,
     predicted_error,
 )
+from napari_deltamic.evidence.reason import Reason, texts
 from napari_deltamic.evidence.slices_apart import SlicesApart
-from napari_deltamic.evidence.verdict import RULES, judged
+from napari_deltamic.evidence.verdict import judged
+from napari_deltamic.evidence.verdict_rules import RULES
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import sphere
@@ -169,7 +171,7 @@ def test_one_bad_cell_spoils_no_other_and_is_named():
     cells = (*(CellFacts(k, 0.9, 0.0, 1.0) for k in range(1, 6)), CellFacts(6, 0.2))
     found = judged(replace(FINE, cells=cells))
     assert found.grade == "good"
-    assert "cell 6 is poor (20% of the signal around it is explained)" in found.reasons
+    assert "cell 6 is poor (20% of the signal around it is explained)" in texts(found.reasons)
     assert [cell.grade for cell in found.cells] == ["good"] * 5 + ["poor"]
 
 
@@ -178,12 +180,12 @@ def test_a_doubt_about_what_shines_is_one_about_each_cell(doubt):
     """If it is wrong, each of them ends further in or out; and it is told of all once."""
     cells = (CellFacts(1, 0.95), CellFacts(2, 0.95), CellFacts(3, 0.2))
     found = judged(replace(FINE, cells=cells, **{doubt: True}))
-    text, bad = found.reasons
+    text, bad = texts(found.reasons)
     assert [cell.grade for cell in found.cells] == ["fair", "fair", "poor"]
-    assert [cell.reasons[-1] for cell in found.cells] == [text] * 3
+    assert [cell.reasons[-1].text for cell in found.cells] == [text] * 3
     assert bad == "cell 3 is poor (20% of the signal around it is explained)"
     (alone,) = judged(replace(FINE, **{doubt: True})).reasons
-    assert alone == text
+    assert (alone.kind, alone.text) == (doubt, text)
 
 
 def test_other_doubts_about_the_whole_leave_cells_good():
@@ -206,10 +208,10 @@ def test_cells_that_are_no_better_have_the_usual_reason_with_them():
     cells = (cut, *(CellFacts(k, 0.9, cut=True, lit=0.1 + 0.05 * k) for k in (2, 3)))
     (reason,) = judged(replace(FINE, cells=cells)).reasons[1:]
     told = "like cell 2: only 20% of its surface is bright: the rest is a guess"
-    assert reason == f"cells 2, 3 are poor ({told})"
+    assert reason == Reason("cells", "poor", f"cells 2, 3 are poor ({told})")
     some = judged(replace(FINE, cells=(cut, CellFacts(2, 0.6), CellFacts(3, 0.7)))).reasons
     told = "most often like cell 2: 60% of the signal around it is explained"
-    assert some == (f"cells 1, 2, 3 are fair ({told})",)
+    assert texts(some) == (f"cells 1, 2, 3 are fair ({told})",)
 
 
 def test_growth_is_compared_with_the_other_cells():

@@ -98,7 +98,7 @@ def test_undo_brings_back_the_fit_with_its_verdict(seeded, spin):
         assert check.grade.text() == "Changed by hand: continue the fit."
         assert (check.grade.verdict, check.verdict.verdict) == ("", "")
     spin(lambda: record.judged is not None)
-    assert record.judged.verdict.reasons[0] == "it was changed by hand: continue the fit"
+    assert record.judged.verdict.reasons[0].text == "it was changed by hand: continue the fit"
     assert check.grade.text() == "Changed by hand: continue the fit."
     assert check.again.isHidden()
     check.history.undo_button.click()

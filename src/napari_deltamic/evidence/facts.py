@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import inf
+from statistics import median
 
 from .dents import Dent
+from .left_out import Place
 from .predicted_error import PredictedError
 from .slices_apart import SlicesApart
 
@@ -73,16 +76,16 @@ class CellFacts:
     """
 
     region: int
-    explained: float | None
+    explained: float | None = None
     stray: float = 0.0
     growth: float | None = None
     cut: bool = False
     inside: float | None = None
     compact: float | None = None
     small: bool = False
-    outgrowth: tuple[float, float, float] | None = None
+    outgrowth: Place | None = None
     dent: Dent | None = None
-    beyond_neck: tuple[float, float, float] | None = None
+    beyond_neck: Place | None = None
     uneven: float = 0.0
     inside_share: float = 1.0
     lit: float = 1.0
@@ -92,9 +95,9 @@ class CellFacts:
     slices: float = inf
     crowded: bool = False
     point: bool = False
-    fold: tuple[float, float, float] | None = None
+    fold: Place | None = None
     unseen_wall: int | None = None
-    left_out: tuple[float, tuple[float, float, float]] | None = None
+    left_out: tuple[float, Place] | None = None
 
 
 @dataclass(frozen=True)
@@ -165,3 +168,10 @@ class Facts:
     oblong: tuple[float, float] | None = None
     followed: float | None = None
     by_hand: bool = False
+
+    @cached_property
+    def usual_growth(self) -> float:
+        """That of the cell in the middle; 1 where there are less than four."""
+        known = [cell.growth for cell in self.cells if cell.growth is not None]
+        # Of fewer cells the median could be one of those that are wrong.
+        return max(median(known), 1e-9) if len(known) >= 4 else 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,8 @@ from .uneven_insides import inside_shares, uneven_insides
 from .unseen_walls import unseen_walls
 from .verdict import Verdict, judged
 from .verdict_rules import RULES
+
+_Tables = dict[str, Mapping[int, Any]]  # by name of a fact of a cell, and by cell
 
 
 def verdict_of(
@@ -102,60 +105,70 @@ class _Images:
 def _cells(
     job: FitInput, state: FitState, left: Residual, images: _Images
 ) -> tuple[CellFacts, ...]:
-    mesh, modelled = state.mesh, state.light.interior != 0
-    asked = job.settings.fit.structure == "auto" and not modelled
-    explained = {cell.region: cell.explained for cell in left.cells}
-    stray = _stray(left, state, images.shown)
-    growth, compact = _growth(job.mesh, mesh), _compactness(job.mesh, mesh)
-    place, medium = Cells(mesh, state.optics, job.grid), dict[int, float]()
-    everywhere = np.ones(job.grid.shape, bool)
-    counts = everywhere if job.counted is None else job.counted
-    inside = {} if modelled else deep_brightness(place, images.seen, counts)
-    if state.light.interior < 0:
-        medium = dark_insides_shown(place, images.seen, images.shown, everywhere)
-    volumes, uneven = mesh.volumes(), uneven_insides(job, state, images.rendered)
-    known, lit, cut = np.isfinite(np.asarray(job.image)), _lit(state), cut_cells(mesh, job.grid)
-    seen = surface_shares(known, job.grid, mesh)
-    may = known if job.counted is None else known & job.counted
-    counted = surface_shares(may, job.grid, mesh)
-    points = shrunken(mesh, min(state.optics.sigma_um))
-    share = inside_shares(state)
-    grown_out = outgrowths(mesh, job.grid, state.optics)
-    dented = dents(mesh, job.grid, state.optics)
-    swallowed = beyond_necks(job.mesh, mesh, job.grid, state.optics)
-    beside = {}
-    if state.light.interior > 0 and not state.light.membrane:
-        given = images.seen, images.shown, state.background
-        beside = left_out(mesh, job.grid, state.optics, *given)
-    folded, unseen, heights = folds(state), unseen_walls(state), _heights(mesh)
+    tables = {
+        **_telling(job, state, left),
+        **_light(job, state, left, images),
+        **_shape(job, state),
+    }
     return tuple(
-        CellFacts(
-            region=region,
-            explained=explained.get(region),
-            stray=stray.get(region, 0.0),
-            growth=growth.get(region),
-            cut=region in cut,
-            inside=inside.get(region),
-            compact=compact.get(region),
-            small=asked and hardly_wider(volumes[region], job.optics, AMPLITUDES.clearly),
-            outgrowth=grown_out.get(region),
-            dent=dented.get(region),
-            beyond_neck=swallowed.get(region),
-            uneven=uneven.get(region, 0.0),
-            inside_share=share[region],
-            lit=lit.get(region, 1.0),
-            medium=medium.get(region, 1.0),
-            seen=seen.get(region, 1.0),
-            counted=counted.get(region, 1.0),
-            slices=np.inf if job.second is not None else heights[region] / job.grid.voxel_size[0],
-            crowded=region in job.crowded,
-            point=region in points,
-            fold=folded.get(region),
-            unseen_wall=unseen.get(region),
-            left_out=beside.get(region),
-        )
-        for region in _areas(mesh)
+        CellFacts(region, **{fact: of[region] for fact, of in tables.items() if region in of})
+        for region in _areas(state.mesh)
     )
+
+
+def _telling(job: FitInput, state: FitState, left: Residual) -> _Tables:
+    """How well the image tells each cell."""
+    mesh, known = state.mesh, np.isfinite(np.asarray(job.image))
+    counted = known if job.counted is None else known & job.counted
+    high = {} if job.second is not None else _heights(mesh)
+    return {
+        "explained": left.shares(),
+        "seen": surface_shares(known, job.grid, mesh),
+        "counted": surface_shares(counted, job.grid, mesh),
+        "slices": {r: height / job.grid.voxel_size[0] for r, height in high.items()},
+        "cut": dict.fromkeys(cut_cells(mesh, job.grid), True),
+    }
+
+
+def _light(job: FitInput, state: FitState, left: Residual, images: _Images) -> _Tables:
+    """Of each cell, and beside it."""
+    light, place = state.light, Cells(state.mesh, state.optics, job.grid)
+    everywhere = np.ones(job.grid.shape, bool)
+    found: _Tables = {
+        "stray": _stray(left, state, images.shown),
+        "lit": _lit(state),
+        "uneven": uneven_insides(job, state, images.rendered),
+        "inside_share": inside_shares(state),
+    }
+    if light.interior == 0:
+        counts = everywhere if job.counted is None else job.counted
+        found["inside"] = deep_brightness(place, images.seen, counts)
+    if light.interior < 0:
+        found["medium"] = dark_insides_shown(place, images.seen, images.shown, everywhere)
+    if light.interior > 0 and not light.membrane:
+        given = images.seen, images.shown, state.background
+        found["left_out"] = left_out(state.mesh, job.grid, state.optics, *given)
+    return found
+
+
+def _shape(job: FitInput, state: FitState) -> _Tables:
+    """Of each cell, and beside that of its start."""
+    mesh, fit = state.mesh, job.settings.fit
+    given = mesh, job.grid, state.optics
+    asked = fit.structure == "auto" and state.light.interior == 0
+    volumes = mesh.volumes() if asked else {}
+    return {
+        "growth": _growth(job.mesh, mesh),
+        "compact": _compactness(job.mesh, mesh),
+        "small": {r: hardly_wider(v, job.optics, AMPLITUDES.clearly) for r, v in volumes.items()},
+        "point": dict.fromkeys(shrunken(mesh, min(state.optics.sigma_um)), True),
+        "crowded": dict.fromkeys(job.crowded, True),
+        "outgrowth": outgrowths(*given),
+        "dent": dents(*given),
+        "beyond_neck": beyond_necks(job.mesh, *given),
+        "fold": folds(state),
+        "unseen_wall": unseen_walls(state),
+    }
 
 
 def _stray(left: Residual, state: FitState, shown: np.ndarray) -> dict[int, float]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..evidence.fit_facts import verdict_of
 from ..evidence.residual import Residual, analyse_residual
 from ..evidence.unseeded_objects import Stray, strays
-from ..evidence.verdict import Verdict, names_cells
+from ..evidence.verdict import Verdict
 from ..evidence.voxel_variance import Variance, voxel_variance
 from ..fitting import FitState, counted_voxels
 from ..fitting.checks import check_image, without_hot
@@ -144,9 +144,9 @@ def told(known: Judged, length: str = "µm", *, stopped: bool = False) -> str:
     text += "."
     if stopped:  # the reasons are those of a fit on its way
         return f"{text} Continue it, or start from better cells."
-    # The cells have reasons of their own.
-    reasons = [r for r in verdict.reasons if "is explained" not in r and not names_cells(r)]
-    if any(names_cells(reason) for reason in verdict.reasons):
+    # How much is explained is told already, and the cells have reasons of their own.
+    reasons = [r.text for r in verdict.reasons if r.kind not in ("explained", "cells")]
+    if any(reason.kind == "cells" for reason in verdict.reasons):
         reasons.append(f"{_of_cells(verdict)}: the table says why")
     text += "".join(f" {_sentence(reason)}" for reason in reasons)
     if verdict.grade == "poor":

@@ -11,7 +11,7 @@ from qtpy.QtWidgets import QFileDialog, QGroupBox, QLabel, QVBoxLayout, QWidget
 from ...common.words import counted, duration
 from ...errors import InputError
 from ...evidence.put_together import put_together, start_of
-from ...evidence.verdict import GRADES
+from ...evidence.reason import GRADES
 from ...fitting.job import FitInput, optics_of
 from ...measure import measure_cells
 from ...results.session_file import SavedTracks

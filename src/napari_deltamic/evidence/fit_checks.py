@@ -1,0 +1,164 @@
+"""Checks of a whole fit: each looks at one thing that is known, and returns a reason or None."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from .facts import Facts
+from .reason import Reason, fair_if, unexplained
+from .sanity import oblong_told
+from .verdict_rules import RULES
+
+FitCheck = Callable[[Facts], Reason | None]
+
+
+def _unfinished(fit: Facts) -> Reason | None:
+    if fit.by_hand:
+        return Reason("unfinished", "poor", "it was changed by hand: continue the fit")
+    if fit.finished:
+        return None
+    text = "the fit has not converged: continue it, or start from better seeds"
+    return Reason("unfinished", "poor", text)
+
+
+def _explained(fit: Facts) -> Reason | None:
+    if fit.explained is None:
+        text = "nothing around the surfaces is brighter or darker than noise"
+        return Reason("nothing", "poor", text)
+    return unexplained(fit.explained, RULES.good, RULES.fair, "the surfaces")
+
+
+def _widths(fit: Facts) -> Reason | None:
+    """Of the blur that the image tells beside that of the PSF."""
+    across = fit.widths.get("across", 1.0)
+    if across > RULES.widths[1]:
+        text = f"the image is {across:.2g} times as blurred as the PSF implies: a thick layer, "
+        text += "light inside, or too narrow a PSF (--structure auto, --fit-psf)"
+        return Reason("widths", "fair", text)
+    least = {"across": RULES.widths[0], "along Z": RULES.along}
+    sharper = {axis: 1 / width for axis, width in fit.widths.items() if width < least[axis]}
+    if not sharper:
+        return None
+    planes = {"across": "in XY", "along Z": "in Z"}
+    told = " and ".join(f"{times:.2g} times as sharp {planes[a]}" for a, times in sharper.items())
+    text = f"the image is {told} as the PSF allows: is this a thick bright layer? If not, give the "
+    grade = fair_if(max(sharper.values()) <= 1 / RULES.far_off)
+    return Reason("widths", grade, text + "PSF's width")
+
+
+def _cone(fit: Facts) -> Reason | None:
+    if not fit.error.cone:
+        return None
+    text = "the image shows the light cone of an objective, which a Gaussian PSF lacks: describe it"
+    return Reason("cone", "fair", f"{text} (--modality, --na, --wavelength)")
+
+
+def _narrow(fit: Facts) -> Reason | None:
+    if not fit.narrow:
+        return None
+    text = "the fitted PSF is too narrow for the voxels: it stands in for something else, such as"
+    return Reason("narrow", "fair", f"{text} texture or haze")
+
+
+def _saturated(fit: Facts) -> Reason | None:
+    if fit.cut <= RULES.cut:
+        return None
+    text = f"{fit.cut:.0%} of the bright voxels are saturated: their brightness is a guess"
+    grade = fair_if(fit.cut <= RULES.cut_most)
+    return Reason("saturated", grade, f"{text} (use a shorter exposure)")
+
+
+def _compressed(fit: Facts) -> Reason | None:
+    if not fit.compressed:
+        return None
+    text = "the intensities look log-scaled, which shifts every surface"
+    return Reason("compressed", "fair", f"{text} (use the image as the camera took it)")
+
+
+def _shifted(fit: Facts) -> Reason | None:
+    much = fit.slices.shift
+    if much <= RULES.shifted:
+        return None
+    text = f"slices are shifted against each other by about {much:.1g} voxels"
+    return Reason("shifted", "fair", f"{text}, and the surfaces follow them (register the stack)")
+
+
+def _flicker(fit: Facts) -> Reason | None:
+    much = fit.slices.brightness
+    if much <= RULES.flicker:
+        return None
+    text = f"the brightness of slices varies by {much:.0%}, which surfaces make up for"
+    return Reason("flicker", "fair", text)
+
+
+def _dome(fit: Facts) -> Reason | None:
+    if fit.dome <= RULES.dome:
+        return None
+    text = f"a haze up to {fit.dome:.0%} as bright as the surfaces is only roughly modelled"
+    return Reason("dome", "fair", f"{text}, which moves them")
+
+
+def _sharpened(fit: Facts) -> Reason | None:
+    if not fit.sharpened:
+        return None
+    text = "the image looks deconvolved or smoothed, so bright rims may be artefacts"
+    return Reason("sharpened", "fair", f"{text} (use the image as the camera took it)")
+
+
+def _followed(fit: Facts) -> Reason | None:
+    if fit.followed is None or fit.followed >= RULES.followed:
+        return None
+    text = "the seeds did not match the image, and the surfaces hardly do: are they of the same"
+    return Reason("followed", "poor", f"{text} channel, time and voxel size?")
+
+
+def _oblong(fit: Facts) -> Reason | None:
+    return None if fit.oblong is None else Reason("oblong", "fair", oblong_told(fit.oblong))
+
+
+def _coarse(fit: Facts) -> Reason | None:
+    if fit.accuracy <= RULES.accuracy:
+        return None
+    text = f"images are rendered with an error of {fit.accuracy:.0%}, too coarse to judge by"
+    return Reason("coarse", "fair", f"{text} (--accuracy)")
+
+
+def _unsure(fit: Facts) -> Reason | None:
+    if not fit.unsure:
+        return None
+    text = "membranes may be fluorescent as well, and the surfaces then lie further in"
+    return Reason("unsure", "fair", f"{text} (try --structure both)")
+
+
+def _alone(fit: Facts) -> Reason | None:
+    if not fit.alone:
+        return None
+    text = "insides alone may explain as much, with surfaces further out, as cytoplasm around dark"
+    return Reason("alone", "fair", f"{text} nuclei would (try --structure interior)")
+
+
+def _nuclei(fit: Facts) -> Reason | None:
+    if not fit.nuclei:
+        return None
+    text = "a dim middle was taken for a dark nucleus: a thick membrane would lie further in"
+    return Reason("nuclei", "fair", f"{text} (try --structure membrane)")
+
+
+FIT_CHECKS: tuple[FitCheck, ...] = (
+    _unfinished,
+    _explained,
+    _widths,
+    _cone,
+    _narrow,
+    _saturated,
+    _compressed,
+    _shifted,
+    _flicker,
+    _dome,
+    _sharpened,
+    _followed,
+    _oblong,
+    _coarse,
+)
+# Of what shines: if that is wrong, all surfaces lie further in or out.
+STRUCTURE_CHECKS: tuple[FitCheck, ...] = (_unsure, _alone, _nuclei)
