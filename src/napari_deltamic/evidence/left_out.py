@@ -101,46 +101,31 @@ def left_out(
     known, outside = np.isfinite(seen), labels == 0
     if not boxes or not (known & outside).any():
         return {}
-    rest = np.where(known, seen - shown, 0.0).astype(np.float32)
-    smooth = gaussian_filter(rest, RULES.smooth / spacing)
-    # Noise is told by the darker half, where nothing is left over.
-    low, middle = np.percentile(smooth[known & outside], (OWNERSHIP.low, 50))
-    noise = RULES.above * float(middle - low) / OWNERSHIP.deviation
     own = shown - background
     cells = {r: _cell(labels[box] == r, own[box], spacing) for r, box in boxes.items()}
+    rest = np.where(known, seen - shown, 0.0).astype(np.float32)
+    smooth = gaussian_filter(rest, RULES.smooth / spacing)
     dimmest = min(cell.inside for cell in cells.values())
-    bright = outside & (smooth > max(RULES.bright * dimmest, noise))
+    bright = outside & (smooth > max(RULES.bright * dimmest, _noise(smooth[known & outside])))
     box = _around_touching(bright, ~outside, boxes, spacing)
     if box is None:
         return {}
-    bright, outside, rest, smooth = bright[box], outside[box], rest[box], smooth[box]
-    away, at = distance_transform_edt(outside, sampling=spacing, return_indices=True)
-    nearest = labels[box][tuple(at)]
-    names = np.unique(nearest)
-    rank = np.searchsorted(names, nearest)
-    near = [cells[r] for r in names.tolist()]
-    bright &= smooth > RULES.bright * np.array([cell.inside for cell in near])[rank]
+    near = _near(labels[box], cells, spacing)
+    bright = bright[box] & (smooth[box] > RULES.bright * near.inside[near.cell])
     parts, count = label(bright, _ALL_AROUND)
     if not count:
         return {}
     numbers = np.arange(1, count + 1)
-    begins, ends = (np.asarray(f(away, parts, numbers)) for f in (minimum, maximum))
-    thick = np.asarray(maximum(distance_transform_edt(bright, sampling=spacing), parts, numbers))
-    of_cell = rank[tuple(np.array(minimum_position(away, parts, numbers)).T)]
-    kept = (begins <= RULES.touching) & (ends >= RULES.out)
-    kept &= thick <= RULES.thin * np.array([cell.deepest for cell in near])[of_cell]
-    gap, at = distance_transform_edt(~bright, sampling=spacing, return_indices=True)
-    around = np.where(outside & (gap <= RULES.around), parts[tuple(at)], 0)
-    light = np.asarray(sum_labels(rest, around, numbers))
-    whole = np.bincount(rank.ravel(), own[box].ravel())
-    peaks = np.array(maximum_position(smooth, parts, numbers)) + [side.start for side in box]
+    of_cell = _arms_of(parts, numbers, near, spacing)
+    light = _light(rest[box], parts, numbers, near.away > 0, spacing)
+    whole = np.bincount(near.cell.ravel(), own[box].ravel())
+    peaks = np.array(maximum_position(smooth[box], parts, numbers)) + [side.start for side in box]
+    places = peaks * np.asarray(grid.voxel_size) + np.asarray(grid.origin)
     found: dict[int, tuple[float, Place]] = {}
-    for k in np.unique(of_cell[kept]).tolist():
-        theirs = np.flatnonzero(kept & (of_cell == k))
-        best = peaks[theirs[light[theirs].argmax()]]
-        z, y, x = (best * np.asarray(grid.voxel_size) + np.asarray(grid.origin)).tolist()
-        share = float(light[theirs].sum() / max(float(whole[k]), 1e-30))
-        found[int(names[k])] = share, (z, y, x)
+    for k in np.unique(of_cell[of_cell >= 0]).tolist():
+        arms = np.flatnonzero(of_cell == k)
+        z, y, x = places[arms[light[arms].argmax()]].tolist()
+        found[near.names[k]] = float(light[arms].sum() / max(float(whole[k]), 1e-30)), (z, y, x)
     return found
 
 
@@ -156,6 +141,68 @@ def _cell(own: Mask, light: NDArray[np.floating], spacing: NDArray[np.floating])
     depth = distance_transform_edt(np.pad(own, 1), sampling=spacing)[1:-1, 1:-1, 1:-1]
     deepest = float(depth.max())
     return _Cell(max(float(light[depth > deepest / 2].mean()), 0.0), deepest)
+
+
+def _noise(beside: NDArray[np.floating]) -> float:
+    """What bright things exceed; the darker half beside cells tells it, where nothing is left."""
+    low, middle = np.percentile(beside, (OWNERSHIP.low, 50))
+    return RULES.above * float(middle - low) / OWNERSHIP.deviation
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """The cell nearest to each voxel.
+
+    names, inside, deepest : of each cell that is nearest somewhere, as of :class:`_Cell`.
+    cell : (Z, Y, X) index into these.
+    away : (Z, Y, X) widths of the PSF from it, 0 within.
+    """
+
+    names: list[int]
+    inside: NDArray[np.floating]
+    deepest: NDArray[np.floating]
+    cell: NDArray[np.integer]
+    away: NDArray[np.floating]
+
+
+def _near(
+    labels: NDArray[np.integer], cells: Mapping[int, _Cell], spacing: NDArray[np.floating]
+) -> _Near:
+    away, at = distance_transform_edt(labels == 0, sampling=spacing, return_indices=True)
+    nearest = labels[tuple(at)]
+    names = np.unique(nearest)
+    inside, deepest = np.array([(cells[r].inside, cells[r].deepest) for r in names.tolist()]).T
+    return _Near(names.tolist(), inside, deepest, np.searchsorted(names, nearest), away)
+
+
+def _arms_of(
+    parts: NDArray[np.integer],
+    numbers: NDArray[np.integer],
+    near: _Near,
+    spacing: NDArray[np.floating],
+) -> NDArray[np.integer]:
+    """Of each part, the index of the cell that it may be an arm of; -1 for none."""
+    begins, ends = (np.asarray(f(near.away, parts, numbers)) for f in (minimum, maximum))
+    depth = distance_transform_edt(parts > 0, sampling=spacing)
+    thick = np.asarray(maximum(depth, parts, numbers))
+    at = tuple(np.array(minimum_position(near.away, parts, numbers)).T)
+    arms = (begins <= RULES.touching) & (ends >= RULES.out)
+    cell = near.cell[at]
+    arms &= thick <= RULES.thin * near.deepest[cell]
+    return np.where(arms, cell, -1)
+
+
+def _light(
+    rest: NDArray[np.floating],
+    parts: NDArray[np.integer],
+    numbers: NDArray[np.integer],
+    outside: Mask,
+    spacing: NDArray[np.floating],
+) -> NDArray[np.floating]:
+    """Of each part and what is around it outside of cells, but nearest to it."""
+    gap, at = distance_transform_edt(parts == 0, sampling=spacing, return_indices=True)
+    around = np.where(outside & (gap <= RULES.around), parts[tuple(at)], 0)
+    return np.asarray(sum_labels(rest, around, numbers))
 
 
 def _around_touching(
