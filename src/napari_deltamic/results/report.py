@@ -29,7 +29,7 @@ from ..scene import Grid, Renderer, Scene
 from ..scene.effects import Effects
 from ..scene.light import structure_of
 from .picture import picture_png
-from .rules_of_a_fit import RULES_OF_A_FIT
+from .rules_of_a_fit import rules_of_a_fit
 
 FILES = (
     "mesh.ply",
@@ -160,7 +160,7 @@ def describe(
         "accuracy": fit.image_accuracy,
         "iterations": state.iteration,
         "seconds": round(seconds, 3),
-        "rules": RULES_OF_A_FIT,
+        "rules": rules_of_a_fit(),
         "converged": state.converged,
         "message": state.message,
         "warnings": list(warnings),

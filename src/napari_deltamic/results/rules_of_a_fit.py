@@ -2,104 +2,64 @@
 
 A number that decides is one of *rules*: a frozen dataclass whose docstring says, number by number,
 its unit and where the value comes from. A caller cannot change rules, as opposed to settings; they
-may be others in another version.
+may be others in another version. All that a module of the rooms below has are kept.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from types import ModuleType
 from typing import Any
 
-from ..evidence import (
-    compressed_brightness,
-    dents,
-    fainter_membranes,
-    left_out,
-    necks,
-    outgrowths,
-    predicted_error,
-    sanity,
-    slices_apart,
-    unseeded_objects,
-    verdict_rules,
-)
-from ..evidence.evidence_rules import CAMERA, RESIDUAL, SPECTRUM
-from ..fitting import (
-    amplitudes,
-    bright_regions,
-    dark_nuclei,
-    deep_insides,
-    density,
-    evening,
-    foreign_light,
-    ground_again,
-    growth_alarm,
-    hidden_membranes,
-    light_cone,
-    likelihood,
-    missed_parts,
-    noise_blur,
-    protrusions,
-    psf_tails,
-    refits,
-    rival_structures,
-    saturation,
-    shape_dial,
-    structure_choice,
-    tempering,
-    topology,
-    triangle_quality,
-    unequal_insides,
-    voxel_ownership,
-)
 from ..fitting.schedule import Schedule
-from ..geometry.labels import whole_cells
-from ..geometry.labels.cell_rules import FINDING
-from ..optics import narrow
 
-RULES_OF_A_FIT: dict[str, dict[str, Any]] = {
-    "cells": asdict(FINDING),
-    "markers": asdict(whole_cells.RULES),
-    "sanity": asdict(sanity.RULES),
-    "first PSF": asdict(SPECTRUM),
-    "shape": asdict(shape_dial.RULES),
-    "voxels that count": asdict(voxel_ownership.RULES),
-    "voxels that count, asked again": asdict(ground_again.RULES),
-    "missed parts": asdict(missed_parts.RULES),
-    "foreign light": asdict(foreign_light.RULES),
-    "protrusions": asdict(protrusions.RULES),
-    "bright regions": asdict(bright_regions.RULES),
-    "saturation": asdict(saturation.RULES),
-    "weights": asdict(likelihood.RULES),
-    "tempering": asdict(tempering.RULES),
-    "schedule": asdict(Schedule()),
-    "triangles": asdict(triangle_quality.RULES),
-    "growth": asdict(growth_alarm.RULES),
-    "amplitudes": asdict(amplitudes.RULES),
-    "density": asdict(density.RULES),
-    "structure": asdict(structure_choice.RULES),
-    "unequal insides": asdict(unequal_insides.RULES),
-    "dark nuclei": asdict(dark_nuclei.RULES),
-    "deep insides": asdict(deep_insides.RULES),
-    "uneven insides": asdict(evening.RULES),
-    "rivals": asdict(rival_structures.RULES),
-    "hidden membranes": asdict(hidden_membranes.RULES),
-    "narrow PSFs": asdict(narrow.RULES),
-    "light cone": asdict(light_cone.RULES),
-    "tails of the PSF": asdict(psf_tails.RULES),
-    "topology": asdict(topology.RULES),
-    "camera": asdict(CAMERA),
-    "residual": asdict(RESIDUAL),
-    "necks": asdict(necks.RULES),
-    "outgrowths": asdict(outgrowths.RULES),
-    "dents": asdict(dents.RULES),
-    "left out": asdict(left_out.RULES),
-    "strays": asdict(unseeded_objects.RULES),
-    "changed images": asdict(refits.RULES),
-    "fainter membranes": asdict(fainter_membranes.RULES),
-    "noise": asdict(noise_blur.RULES),
-    "predicted error": asdict(predicted_error.RULES),
-    "slices": asdict(slices_apart.RULES),
-    "logarithms": asdict(compressed_brightness.RULES),
-    "verdict": asdict(verdict_rules.RULES),
+_ROOMS = ("images", "geometry.labels", "optics", "fitting", "evidence")
+# Those that are not called as their module is, or as they are where that is not RULES.
+_NAMES = {
+    "finding": "cells",
+    "whole cells": "markers",
+    "spectrum": "first PSF",
+    "shape dial": "shape",
+    "voxel ownership": "voxels that count",
+    "ground again": "voxels that count, asked again",
+    "likelihood": "weights",
+    "triangle quality": "triangles",
+    "growth alarm": "growth",
+    "structure choice": "structure",
+    "evening": "uneven insides",
+    "rival structures": "rivals",
+    "narrow": "narrow PSFs",
+    "psf tails": "tails of the PSF",
+    "unseeded objects": "strays",
+    "refits": "changed images",
+    "noise blur": "noise",
+    "slices apart": "slices",
+    "slices": "slices of the image",
+    "compressed brightness": "logarithms",
+    "verdict rules": "verdict",
 }
+
+
+@cache
+def rules_of_a_fit() -> dict[str, dict[str, Any]]:
+    """The numbers of each set of rules, by its name."""
+    found = {"schedule": asdict(Schedule())}
+    for module in _modules():
+        last = module.__name__.rpartition(".")[2]
+        for name, value in vars(module).items():
+            kind = type(value)
+            if kind.__module__ == module.__name__ and kind.__name__.endswith("Rules"):
+                usual = (last if name == "RULES" else name.lower()).replace("_", " ")
+                found[_NAMES.get(usual, usual)] = asdict(value)
+    return found
+
+
+def _modules() -> Iterator[ModuleType]:
+    for room in _ROOMS:
+        package = import_module(f"...{room}", __name__)
+        for file in iter_modules(package.__path__):
+            yield import_module(f".{file.name}", package.__name__)

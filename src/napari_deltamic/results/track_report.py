@@ -29,7 +29,7 @@ from ..tracking import FrameResult, lineage, surface_4d
 from ..tracking.track_rules import RULES
 from .event_facts import EventFacts
 from .report import PACKAGES, plain_values, version_of
-from .rules_of_a_fit import RULES_OF_A_FIT
+from .rules_of_a_fit import rules_of_a_fit
 
 MESH_KINDS = (".ply", ".vtk")  # exact, with regions; and for viewers that play series
 FILES = ("tracks.csv", "surface.npz", "run.toml", "report.json")
@@ -221,7 +221,7 @@ def _facts(
     return {
         "version": version_of("napari-deltamic"),
         "seconds": round(seconds, 3),
-        "rules": {**RULES_OF_A_FIT, "tracking": asdict(RULES)},
+        "rules": {**rules_of_a_fit(), "tracking": asdict(RULES)},
         "warnings": list(remarks),
         "frames": [asdict(_FrameFacts.of(r)) for r in results],
         "lineage": [
