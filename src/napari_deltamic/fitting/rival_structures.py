@@ -299,17 +299,18 @@ def insides_over(objective: Objective) -> float:
 def _explains_more(one: Objective, other: Objective) -> bool:
     """Whether one surely explains more than another, over the voxels of both.
 
-    Where a user has asked for both, chromatin is not suspected of being a membrane.
-
-    So both if insides are as even as either has them, and if they are as measured: what each takes
-    for unevenness speaks for it, and unevenness itself speaks for whatever has more of it
-    (chromatin, for a membrane).
+    It must do so both with insides as even as either has them, and as measured: what each takes for
+    unevenness speaks for it, and unevenness itself speaks for whatever has more of it (chromatin,
+    for a membrane).
     """
     return enough(gains_over(one, other), errors_asked(one))
 
 
 def errors_asked(one: Objective) -> float:
-    """How many errors a rival has to explain more by."""
+    """How many errors a rival has to explain more by.
+
+    Where a user has asked for both, chromatin is not suspected of being a membrane.
+    """
     return RULES.errors if one.terms.settings.structure == "auto" else 0.0
 
 
