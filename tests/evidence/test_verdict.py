@@ -167,6 +167,23 @@ def test_an_image_that_is_mostly_cut_is_not_trusted(cut, grade):
     assert ("80% of the bright voxels are saturated" in found.sentence()) == (cut == 0.8)
 
 
+def test_what_is_not_a_number_is_no_reason():
+    names = (
+        "explained",
+        "stray",
+        "growth",
+        "inside",
+        "compact",
+        "uneven",
+        "lit",
+        "seen",
+        "counted",
+    )
+    cell = replace(FINE.cells[0], **dict.fromkeys([*names, "medium", "slices"], np.nan))
+    of_all = dict.fromkeys(["explained", "cut", "dome", "followed", "accuracy"], np.nan)
+    assert judged(replace(FINE, cells=(cell,), **of_all)).reasons == ()
+
+
 def test_one_bad_cell_spoils_no_other_and_is_named():
     cells = (*(CellFacts(k, 0.9, 0.0, 1.0) for k in range(1, 6)), CellFacts(6, 0.2))
     found = judged(replace(FINE, cells=cells))

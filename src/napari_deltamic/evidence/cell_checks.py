@@ -1,7 +1,8 @@
 """Checks of one cell: each looks at one thing that is known of it, and returns a reason or None.
 
 What is known is measured elsewhere (:class:`~.facts.CellFacts` says where), and the numbers that
-decide are with :mod:`.verdict_rules`. Reasons are told in the order of ``CELL_CHECKS``.
+decide are with :mod:`.verdict_rules`. Reasons are told in the order of ``CELL_CHECKS``. What is not
+a number is no reason.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def _off(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _slices(cell: CellFacts, fit: Facts) -> Reason | None:
-    if cell.slices >= RULES.slices:
+    if not cell.slices < RULES.slices:
         return None
     text = f"it is only {cell.slices:.1f} slices high: its height is poorly determined"
     return Reason("slices", "fair", text)
@@ -72,14 +73,14 @@ def _explained(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _stray(cell: CellFacts, fit: Facts) -> Reason | None:
-    if cell.stray <= RULES.stray:
+    if not cell.stray > RULES.stray:
         return None
     text = f"unexplained light beside it, {_of_its_light(cell.stray)}: light inside, haze or a"
     return Reason("stray", "fair", f"{text} neighbour (--effects auto)")
 
 
 def _left_out(cell: CellFacts, fit: Facts) -> Reason | None:
-    if cell.left_out is None or cell.left_out[0] <= RULES.left_out:
+    if cell.left_out is None or not cell.left_out[0] > RULES.left_out:
         return None
     share, place = cell.left_out
     text = f"bright parts beside it, {_of_its_light(share)}, brightest at {_um(place)}, belong to"
@@ -87,7 +88,7 @@ def _left_out(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _inside(cell: CellFacts, fit: Facts) -> Reason | None:
-    if cell.inside is None or abs(cell.inside) <= RULES.inside:
+    if cell.inside is None or not abs(cell.inside) > RULES.inside:
         return None
     where = "inside it" if cell.inside > 0 else "around it"
     text = f"light {where}, {abs(cell.inside):.0%} as bright as its surface, is not in the model"
@@ -95,7 +96,7 @@ def _inside(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _medium(cell: CellFacts, fit: Facts) -> Reason | None:
-    if cell.medium >= DEEP.shown:
+    if not cell.medium < DEEP.shown:
         return None
     text = "the model assumes that its inside is darker than the medium, but it is not: is this a"
     return Reason("medium", "fair", f"{text} thick bright layer?")
@@ -109,14 +110,14 @@ def _small(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _uneven(cell: CellFacts, fit: Facts) -> Reason | None:
-    if cell.uneven * cell.inside_share <= RULES.uneven:
+    if not cell.uneven * cell.inside_share > RULES.uneven:
         return None
     text = f"its interior brightness varies by {cell.uneven:.0%}: the border may be off where it is"
     return Reason("uneven", "fair", f"{text} dim or bright")
 
 
 def _lit(cell: CellFacts, fit: Facts) -> Reason | None:
-    if cell.lit >= RULES.lit:
+    if not cell.lit < RULES.lit:
         return None
     text = f"only {cell.lit:.0%} of its surface is bright: the rest is a guess"
     return Reason("lit", fair_if(cell.lit >= RULES.dark), text)
@@ -126,7 +127,7 @@ def _lit(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _crumpled(cell: CellFacts, fit: Facts) -> Reason | None:
-    if cell.compact is None or cell.compact >= RULES.compact:
+    if cell.compact is None or not cell.compact < RULES.compact:
         return None
     text = "it is much less round than its start: has it fins or arms, or has it crumpled or leaked"
     return Reason("crumpled", "fair", f"{text} into a neighbour?")

@@ -1,4 +1,7 @@
-"""Checks of a whole fit: each looks at one thing that is known, and returns a reason or None."""
+"""Checks of a whole fit: each looks at one thing that is known, and returns a reason or None.
+
+What is not a number is no reason.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +64,7 @@ def _narrow(fit: Facts) -> Reason | None:
 
 
 def _saturated(fit: Facts) -> Reason | None:
-    if fit.cut <= RULES.cut:
+    if not fit.cut > RULES.cut:
         return None
     text = f"{fit.cut:.0%} of the bright voxels are saturated: their brightness is a guess"
     grade = fair_if(fit.cut <= RULES.cut_most)
@@ -77,7 +80,7 @@ def _compressed(fit: Facts) -> Reason | None:
 
 def _shifted(fit: Facts) -> Reason | None:
     much = fit.slices.shift
-    if much <= RULES.shifted:
+    if not much > RULES.shifted:
         return None
     text = f"slices are shifted against each other by about {much:.1g} voxels"
     return Reason("shifted", "fair", f"{text}, and the surfaces follow them (register the stack)")
@@ -85,14 +88,14 @@ def _shifted(fit: Facts) -> Reason | None:
 
 def _flicker(fit: Facts) -> Reason | None:
     much = fit.slices.brightness
-    if much <= RULES.flicker:
+    if not much > RULES.flicker:
         return None
     text = f"the brightness of slices varies by {much:.0%}, which surfaces make up for"
     return Reason("flicker", "fair", text)
 
 
 def _dome(fit: Facts) -> Reason | None:
-    if fit.dome <= RULES.dome:
+    if not fit.dome > RULES.dome:
         return None
     text = f"a haze up to {fit.dome:.0%} as bright as the surfaces is only roughly modelled"
     return Reason("dome", "fair", f"{text}, which moves them")
@@ -106,7 +109,7 @@ def _sharpened(fit: Facts) -> Reason | None:
 
 
 def _followed(fit: Facts) -> Reason | None:
-    if fit.followed is None or fit.followed >= RULES.followed:
+    if fit.followed is None or not fit.followed < RULES.followed:
         return None
     text = "the seeds did not match the image, and the surfaces hardly do: are they of the same"
     return Reason("followed", "poor", f"{text} channel, time and voxel size?")
@@ -117,7 +120,7 @@ def _oblong(fit: Facts) -> Reason | None:
 
 
 def _coarse(fit: Facts) -> Reason | None:
-    if fit.accuracy <= RULES.accuracy:
+    if not fit.accuracy > RULES.accuracy:
         return None
     text = f"images are rendered with an error of {fit.accuracy:.0%}, too coarse to judge by"
     return Reason("coarse", "fair", f"{text} (--accuracy)")

@@ -41,7 +41,7 @@ def fair_if(enough: bool) -> Grade:
 
 def unexplained(share: float | None, least: float, enough: float, where: str) -> Reason | None:
     """Where less than ``least`` of the signal is explained; less than ``enough`` is poor."""
-    if share is None or share >= least:
+    if share is None or not share < least:
         return None
     # In words where it is no share: a model may be further from the image than none. Less than
     # this is rounded to 0 %, by definition.
