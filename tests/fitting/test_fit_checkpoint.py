@@ -1,5 +1,7 @@
 """Checkpoints of fits: written, resumed, refused."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -72,15 +74,42 @@ def resume(image, path, mesh=None, optics=OPTICS, **settings):
     return fit(image, GRID, mesh, optics, settings=FitSettings(**settings), resume=path)
 
 
-def test_of_the_first_versions_surface_and_psf_are_taken(image, checkpoint, tmp_path):
-    """They kept no ``run``: neither the iteration nor what the optimiser knew."""
-    kept, before = load_checkpoint(checkpoint), tmp_path / "before.npz"
-    np.savez(before, **{name: values for name, values in kept.items() if name != "run"})
-    state = next(resume(image, before))
-    assert state.iteration == 1
-    np.testing.assert_array_equal(state.mesh.vertices_numpy(), kept["vertices"])
-    np.testing.assert_array_equal(state.optics.parameters(), kept["optics"])
-    assert apart(state.mesh, start(1)) > 1
+PLAIN = (
+    "changed_at",
+    "density_now",
+    "effects",
+    "first_effects",
+    "objective",
+    "rounds",
+    "structure",
+)
+
+
+@pytest.mark.parametrize("name", ["first_optics", "insides", "light", "pinned", "run", "seed"])
+def test_what_a_checkpoint_lacks_is_told_in_one_sentence(image, checkpoint, tmp_path, name):
+    kept = load_checkpoint(checkpoint)
+    del kept[name]
+    np.savez(tmp_path / "less.npz", **kept)
+    with pytest.raises(InputError, match=f"checkpoint is damaged .there is no '{name}'.$"):
+        resume(image, tmp_path / "less.npz")
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_what_its_run_lacks_is_told_in_one_sentence(image, checkpoint, tmp_path, name):
+    kept = load_checkpoint(checkpoint)
+    run = json.loads(str(kept["run"]))
+    del (run["policy"] if name == "rounds" else run)[name]
+    np.savez(tmp_path / "less.npz", **{**kept, "run": np.array(json.dumps(run))})
+    with pytest.raises(InputError, match=f"checkpoint is damaged .there is no '{name}'.$"):
+        resume(image, tmp_path / "less.npz")
+
+
+def test_effects_that_are_not_known_are_named(image, checkpoint, tmp_path):
+    kept = load_checkpoint(checkpoint)
+    run = {**json.loads(str(kept["run"])), "effects": {"magic": {}}}
+    np.savez(tmp_path / "more.npz", **{**kept, "run": np.array(json.dumps(run))})
+    with pytest.raises(InputError, match="unknown effect 'magic'"):
+        resume(image, tmp_path / "more.npz")
 
 
 def test_refuses_the_checkpoint_of_another_fit(image, checkpoint):

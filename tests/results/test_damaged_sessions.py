@@ -26,6 +26,20 @@ def of_json(**values):
     return change
 
 
+def of_state(**values):
+    """Other values of a state; without those that are None."""
+
+    def change(name, data):
+        if name != "session.json":
+            return data
+        facts = json.loads(data)
+        state = {**facts["result"]["state"], **values}
+        facts["result"]["state"] = {k: v for k, v in state.items() if v is not None}
+        return json.dumps(facts)
+
+    return change
+
+
 def without(missing):
     return lambda name, data: None if name == missing else data
 
@@ -46,7 +60,13 @@ def huge(name, data):
         (of_json(format="something"), "not a deltaMic session"),
         (of_json(version=float("inf")), "not a deltaMic session"),
         (of_json(seeds=None), "not a deltaMic session"),
-        (of_json(image={}), "not a deltaMic session"),
+        (of_json(image={}), "one .image.name: it must be given"),
+        (of_state(light=None), "one .result.state.light: it must be given"),
+        (of_state(light={"membrane": 1.0, "interior": 0.0}), "one .there is no 'cells'"),
+        (of_state(effects=None), "one .result.state.effects: it must be given"),
+        (of_state(effects={"bulk": {}}), "one .bulk is no effect: light inside"),
+        (of_state(effects={"magic": {}}), "one .unknown effect 'magic'"),
+        (of_state(effects={"halo": {"size": 1}}), "one .halo.size: there is no such setting"),
         (without("session.json"), "has no session.json"),
         (without("image.npy"), "has no image.npy"),
         (without("faces/0/corners.npy"), "has no faces/0/corners.npy"),

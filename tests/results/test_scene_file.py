@@ -60,9 +60,11 @@ def test_a_tilted_psf_comes_back(tmp_path):
 
 
 def changed(path, **facts):
+    """Without those that are None."""
     with zipfile.ZipFile(path) as file:
         members = {n: file.read(n) for n in file.namelist()}
     scene = {**json.loads(members["scene.json"]), **facts}
+    scene = {name: values for name, values in scene.items() if values is not None}
     members["scene.json"] = json.dumps(scene).encode()
     with zipfile.ZipFile(path, "w") as file:
         for name, data in members.items():
@@ -74,7 +76,9 @@ BAD = {
     "kind": ({"structures": [{"kind": "cloud"}]}, "kind 'cloud'"),
     "nothing": ({"structures": []}, "needs a structure"),
     "array": ({"structures": [{"kind": "points", "places": "none", "weight": 1}]}, "no none"),
-    "effect": ({"effects": {"magic": {}}}, "magic"),
+    "effect": ({"effects": {"magic": {}}}, r"one .unknown effect 'magic'"),
+    "no effects": ({"effects": None}, "there is no 'effects'"),
+    "field": ({"effects": {"halo": {"size": 1}}}, "halo.size: there is no such setting"),
     "optics": ({"optics": {"kind": "gaussian", "sigma": [0, 1, 1]}}, "sigma must be positive"),
     "kind of optics": ({"optics": {"kind": "magic"}}, "optics"),
 }

@@ -82,6 +82,8 @@ GOOD = 'image = "a"\nseeds = "b"\n[scene]\nvoxel_size = [1, 1, 1]\n'
         ("colour = 1\n" + GOOD, "colour: there is no such setting"),
         (GOOD + "zoom = 2\n", "scene.zoom: there is no such setting"),
         (GOOD + "[fit]\nspeed = 1\n", "fit.speed: there is no such setting"),
+        (GOOD + "fit = 3\n", "scene.fit: there is no such setting"),
+        ("fit = 3\n" + GOOD, "fit: a table is needed"),
         (GOOD + 'sigma = "wide"\n', "scene.sigma"),
         (GOOD + "sigma = [1, 1]\n", "scene.sigma"),
         (GOOD + "sigma = [1, 1, 0]\n", "scene.sigma: sigma must be positive"),

@@ -75,7 +75,8 @@ def json_values(text: str) -> Any:
 
 def one_reason(error: BaseException) -> str:
     """What an error says, in one short line."""
-    return " ".join(str(error).split())[:200] or type(error).__name__
+    said = f"there is no {error}" if isinstance(error, KeyError) else str(error)
+    return " ".join(said.split())[:200] or type(error).__name__
 
 
 @contextmanager

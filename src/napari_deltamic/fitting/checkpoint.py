@@ -12,7 +12,7 @@ import torch
 from ..common.choices import DensityModel, Structure
 from ..common.reading import json_values, one_reason
 from ..errors import InputError
-from ..scene.earlier_files import without_inside
+from ..runs.fit_settings import validated
 from ..scene.effects import Effects
 from .fitted import Arrays, Fitted, other_settings
 from .found_psf import FoundPSF, psf_from, values_of
@@ -111,32 +111,27 @@ class Checkpoint:
         for name, values in found.items():
             if values.dtype.kind == "f" and not np.isfinite(values).all():
                 raise InputError(f"the checkpoint is damaged: {name} is not finite")
-        if not np.array_equal(found.get("seed", 0), self.start):
+        if not np.array_equal(found["seed"], self.start):
             raise InputError("the checkpoint belongs to another mesh")
         if not np.array_equal(found["levels"], np.array(self.levels)):
             raise other_settings()
         if "dimmed" in found and not self._are_nuclei(found["dimmed"]):
             raise InputError("the checkpoint is damaged: its nuclei are of another image")
-        if "run" not in found:  # of an earlier version: its optimiser starts anew
-            return replace(self, fitted=self.fitted.surface_loaded(found))
         plain: dict[str, Any] = json_values(str(found["run"]))
-        begun_with = objective_in(found)  # read anew: earlier versions kept fewer values
-        saved = None if begun_with is None else values_of(begun_with)
-        if saved != values_of(self.fitted.first_optics):
+        begun_with = plain["objective"]
+        if begun_with is not None:  # as they are of the PSF that is made of them
+            begun_with = values_of(psf_from(begun_with))
+        if begun_with != values_of(self.fitted.first_optics):
             raise other_settings()
         if plain["density"] != self.density:
             raise other_settings()
-        # Earlier versions had densities of one kind from the start.
-        begun = self.fitted.with_density(plain.get("density_now", self.density))
+        begun = self.fitted.with_density(plain["density_now"])
         if not 0 <= int(plain["level_number"]) <= len(self.levels):
             raise InputError("the checkpoint is damaged: it is of a level that there is not")
-        values, inside = without_inside(plain["effects"])
-        effects, known = Effects(**values), bool(plain["density_known"])
-        first = self.fitted.first_effects
-        if "first_effects" in plain:  # earlier versions kept none
-            first = Effects(**plain["first_effects"])
-        structure: Structure = plain.get("structure", self.fitted.structure)
-        structure = "both" if inside else structure
+        effects = validated(Effects, plain["effects"])
+        first = validated(Effects, plain["first_effects"])
+        structure: Structure = plain["structure"]
+        known = bool(plain["density_known"])
         fitted = begun.with_structure(structure).loaded(found, effects, first, known)
         blurred_for = fitted.optics.with_parameters(torch.from_numpy(found["level_optics"]))
         return replace(
@@ -175,5 +170,5 @@ def objective_in(found: Arrays) -> FoundPSF | None:
     try:
         values = json_values(str(found["run"]))["objective"]
         return None if values is None else psf_from(values)
-    except (KeyError, TypeError, ValueError, InputError):  # of an earlier version, or damaged
+    except (KeyError, TypeError, ValueError, InputError):  # damaged
         return None

@@ -158,14 +158,8 @@ class Fitted:
             **({} if self.learnt is None else self.learnt.saved()),
         }
 
-    def surface_loaded(self, found: Arrays) -> Fitted:
-        """With surface, pins and PSF of :meth:`saved`; the optimiser starts anew.
-
-        Raises
-        ------
-        InputError
-            If they are of another PSF, or do not fit together.
-        """
+    def _surface_loaded(self, found: Arrays) -> Fitted:
+        """With surface, pins and PSF of :meth:`saved`."""
         if found["optics"].shape != tuple(self.optics.parameters().shape):
             raise other_settings()
         mesh = Mesh(found["vertices"], found["faces"], found["regions"])
@@ -178,24 +172,26 @@ class Fitted:
     def loaded(
         self, found: Arrays, effects: Effects, first: Effects, density_known: bool
     ) -> Fitted:
-        """With all of :meth:`saved`. Raises InputError as :meth:`surface_loaded`."""
+        """With all of :meth:`saved`.
+
+        Raises
+        ------
+        InputError
+            If they are of another PSF or other effects, or do not fit together.
+        """
         if (effects.names, first.names) != 2 * (self.effects.names,):
             raise other_settings()
-        restored = self.surface_loaded(found)
+        restored = self._surface_loaded(found)
         shape, mesh = restored.shape, restored.mesh
         if density_known:
             known = len(Density(mesh, shape.model, 1.0))
             if found["log_density"].shape != (known,):
                 raise InputError("the checkpoint is damaged: its densities are of another mesh")
             shape = shape.moved(mesh.vertices_numpy(), found["log_density"])
-        light = self.light
-        if "light" in found:  # earlier versions kept none
-            membrane, interior = found["light"].tolist()
-            kept = {"membrane": membrane, "interior": interior, "cells": found["insides"]}
-            light = Light.from_dict(kept)
-        optics = self.first_optics
-        if "first_optics" in found:  # earlier versions kept none
-            optics = optics.with_parameters(torch.from_numpy(found["first_optics"]))
+        membrane, interior = found["light"].tolist()
+        kept = {"membrane": membrane, "interior": interior, "cells": found["insides"]}
+        light = Light.from_dict(kept)
+        optics = self.first_optics.with_parameters(torch.from_numpy(found["first_optics"]))
         around = replace(restored, effects=effects, first_optics=optics, first_effects=first)
         around = replace(around, shape=shape, light=light, dimmed=found.get("dimmed"))
         return around.taught(Learnt.loaded(found))

@@ -100,8 +100,7 @@ class Stage:
             progress,
             iteration=int(values["iteration"]),
             evaluations=int(values["evaluations"]),
-            # Earlier versions kept none of these.
-            changed_at=int(values.get("changed_at", 0)),
-            begun_at=int(values.get("begun_at", 0)),
-            psfs_tried=int(values.get("psfs_tried", 0)),
+            changed_at=int(values["changed_at"]),
+            begun_at=int(values["begun_at"]),
+            psfs_tried=int(values["psfs_tried"]),
         )

@@ -283,9 +283,9 @@ class TopologyPolicy:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> TopologyPolicy:
         """What :meth:`to_dict` gave."""
-        lists = {name: _places(values.get(name, [])) for name in _KEPT}
-        late, most = int(values["late"]), int(values["most"])
-        return cls(**lists, late=late, rounds=int(values.get("rounds", 0)), most=most)
+        lists = {name: _places(values[name]) for name in _KEPT}
+        late, rounds, most = (int(values[name]) for name in ("late", "rounds", "most"))
+        return cls(**lists, late=late, rounds=rounds, most=most)
 
 
 def may_change(mesh: Mesh) -> bool:

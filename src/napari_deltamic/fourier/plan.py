@@ -28,7 +28,6 @@ Method = Literal["closed form", "particle-mesh"]
 # |OTF| beyond.
 Cutoff = Callable[[float, Falloff], tuple[tuple[float, float, float], float]]
 METHODS: tuple[Method, ...] = ("closed form", "particle-mesh")
-_OLD_NAMES: dict[str, Method] = {"non-uniform": "particle-mesh"}  # in files of earlier versions
 
 # Shares of the accuracy: the errors of band, quadrature and aliases are independent and add in
 # squares, so that together they use 97 % of it at most.
@@ -203,11 +202,10 @@ def make_plan(
 
 
 def checked_method(method: str | None) -> Method | None:
-    """A method by its name, or by the one that it had in earlier versions; raises InputError."""
-    named = _OLD_NAMES.get(method, method) if method is not None else None
-    if named is not None and named not in METHODS:
+    """A method by its name; raises InputError."""
+    if method is not None and method not in METHODS:
         raise InputError(f"method must be 'closed form' or 'particle-mesh', not {method!r}")
-    return named
+    return method
 
 
 def spreading_for(

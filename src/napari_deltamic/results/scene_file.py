@@ -12,7 +12,7 @@ from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWri
 from ..geometry.arrays import is_tensor, to_numpy
 from ..optics import GaussianPSF, Optics
 from ..runs.optics_settings import OpticsSettings, optics_from_values
-from ..scene.earlier_files import without_inside
+from ..runs.settings import validated
 from ..scene.effects import Effects
 from ..scene.scene import Scene
 from ..scene.structures import Filament, Points, Solid, Structure, Surface
@@ -72,9 +72,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         meshes = MeshReader(archive)
         structures = [_structure(each, archive, meshes) for each in facts["structures"]]
         optics = optics_from_values(facts["optics"]).build()
-        effects, inside = without_inside(facts["effects"])
-        scene = Scene(tuple(structures), optics, Effects(**effects))
-        return scene if inside is None else inside.added_to_scene(scene)
+        return Scene(tuple(structures), optics, validated(Effects, facts["effects"]))
 
 
 def _optics_facts(optics: Optics, given: Any) -> dict[str, Any]:

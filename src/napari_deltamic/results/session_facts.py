@@ -1,12 +1,11 @@
 """What ``session.json`` holds: the plain part of a session, checked by pydantic when it is read.
 
-Arrays and meshes lie beside it in the archive; here are their names. What has a default was not yet
-there in earlier versions of the format.
+Arrays and meshes lie beside it in the archive; here are their names.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -60,13 +59,13 @@ class StateFacts:
     blur: float
     converged: bool
     message: str
-    effects: Any = None
-    light: Plain = field(default_factory=dict)
-    pinned: bool = False
-    dimmed: bool = False
-    cone: bool = False
-    unsure: bool = False
-    moving: Triple | None = None
+    effects: Plain
+    light: Plain
+    pinned: bool
+    dimmed: bool
+    cone: bool
+    unsure: bool
+    moving: Triple | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,11 +101,11 @@ class FrameFacts:
     mesh: MeshName | None
     message: str
     events: tuple[EventFacts, ...]
-    psf: tuple[float, ...] = ()
-    structure: str = ""
-    moving: Triple | None = None
-    grade: str = ""
-    judgement: str = ""
+    psf: tuple[float, ...]
+    structure: str
+    moving: Triple | None
+    grade: str
+    judgement: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,8 +129,8 @@ class SessionFacts:
     seeds: list[LayerFacts]
     panels: Plain
     result: ResultFacts | None
-    second: ImageFacts | None = None
-    tracks: TracksFacts | None = None
+    second: ImageFacts | None
+    tracks: TracksFacts | None
 
 
 SESSION: TypeAdapter[SessionFacts] = TypeAdapter(SessionFacts)

@@ -11,6 +11,9 @@ from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from pydantic import ValidationError
+
+from ..common.wrong_value import first_wrong_value
 from ..errors import InputError
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshWriter, opened
 from .session_bead import keep_bead
@@ -64,7 +67,7 @@ def load_session(path: str | os.PathLike[str]) -> Session:
         if not isinstance(facts, dict) or facts.get("format") != _FORMAT:
             raise InputError("session.json says nothing of this format")
         newer = int(facts["version"]) > VERSION
-        session = None if newer else _session(archive, SESSION.validate_python(facts))
+        session = None if newer else _session(archive, _facts(facts))
     if session is None:
         raise InputError(
             f"{path}: written by a newer version ({facts.get('written_by', 'unknown')}): "
@@ -93,6 +96,13 @@ def _place(layer: SavedImage | SavedLayer | ImageFacts | LayerFacts) -> dict[str
 
 
 # ---- reading -------------------------------------------------------------------------------------
+
+
+def _facts(plain: dict[str, Any]) -> SessionFacts:
+    try:
+        return SESSION.validate_python(plain)
+    except ValidationError as error:
+        raise InputError(first_wrong_value(error)) from None
 
 
 def _session(archive: ArchiveReader, facts: SessionFacts) -> Session:

@@ -21,7 +21,6 @@ from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWri
 from ..optics import GaussianPSF, Optics
 from ..runs.settings import RunSettings, validated
 from ..scene import Grid, expected_image
-from ..scene.earlier_files import without_inside
 from ..scene.effects import Effects
 from ..scene.light import Light
 from .report import History
@@ -97,17 +96,14 @@ def saved_result(archive: ArchiveReader, facts: ResultFacts, grid: Grid) -> Save
     first = optics_of(settings.scene)  # a PSF of which states hold only what was fitted
     course = {name: archive.array(f"history/{name}").tolist() for name in ("loss", "level", "blur")}
     shown = facts.state
-    # Earlier versions saved neither effects, nor pins, nor what shines.
-    effects, inside = without_inside(shown.effects or settings.scene.effects.to_dict())
-    light = Light.from_dict(shown.light)
     state = FitState(
         **{name: getattr(shown, name) for name in _STATE},
         loss=nan if shown.loss is None else shown.loss,
         mesh=meshes.mesh(shown.mesh),
         optics=_optics(shown.optics, first),
         density=archive.array("state/density"),
-        effects=Effects(**effects),
-        light=light if inside is None else inside.added_to(light),
+        effects=validated(Effects, shown.effects),
+        light=Light.from_dict(shown.light),
         pinned=archive.array("state/pinned") if shown.pinned else None,
         dimmed=archive.array("state/dimmed") if shown.dimmed else None,
     )

@@ -6,7 +6,7 @@ from itertools import pairwise
 from math import inf
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from ..common.choices import (
     RENDERED_ACCURACY,
@@ -239,16 +239,6 @@ class FitSettings(Settings):
     @classmethod
     def _auto(cls, accuracy: Any) -> Any:
         return None if accuracy == "auto" else accuracy
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_the_first_version(cls, values: Any) -> Any:
-        """Files of the first version have a first step, which is found by itself now, and may have
-        no lambda, which followed from the noise."""
-        if isinstance(values, dict):
-            gone = {"step"} | ({"smoothing"} if values.get("smoothing", 0) is None else set())
-            values = {name: value for name, value in values.items() if name not in gone}
-        return values
 
     @field_validator("levels")
     @classmethod

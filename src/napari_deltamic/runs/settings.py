@@ -9,11 +9,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Self, cast
 
-from pydantic import field_serializer, model_validator
+from pydantic import field_serializer
 
 from ..common.reading import read_text, reading, toml_values
 from ..common.toml import toml_value
-from ..scene.earlier_files import without_inside
 from ..scene.effects import Effects
 from .fit_settings import NEAR_LEVELS as NEAR_LEVELS
 from .fit_settings import WIDE_LEVELS as WIDE_LEVELS
@@ -37,19 +36,6 @@ class RunSettings(RunFields):
 
     scene: SceneSettings
     fit: FitSettings = FitSettings()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_earlier_versions(cls, values: Any) -> Any:
-        """Light inside, which was an effect: both membranes and insides may shine."""
-        scene, fit = values.get("scene"), values.get("fit", {})
-        if not isinstance(scene, dict) or not isinstance(fit, dict):
-            return values
-        effects, inside = without_inside(scene.get("effects"))
-        if inside is None:
-            return values
-        scene, fit = {**scene, "effects": effects}, {**fit, "structure": "both"}
-        return {**values, "scene": scene, "fit": fit}
 
     def to_toml(self) -> str:
         """The settings as a TOML document."""

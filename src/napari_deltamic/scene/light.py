@@ -43,9 +43,9 @@ class Light:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Light:
-        """What a file holds; earlier versions knew no cells."""
-        cells = tuple((int(k), float(by)) for k, by in values.get("cells", ()))
-        return cls(**{**values, "cells": cells})
+        """What a file holds. KeyError where something is missing."""
+        cells = tuple((int(k), float(by)) for k, by in values["cells"])
+        return cls(float(values["membrane"]), float(values["interior"]), cells)
 
     def insides(self) -> Light:
         """Its insides alone, of amplitude 1."""

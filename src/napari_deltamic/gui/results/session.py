@@ -86,10 +86,10 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     if _left(doc, image):
         return
     doc.settings.show_fit(session.settings.fit)
-    is_open = bool(session.panels.get("psf_is_open", False))  # earlier sessions do not say
+    is_open = bool(session.panels.get("psf_is_open", False))
     doc.settings.show_scene(session.settings.scene, psf_is_open=is_open)
     _show_second(doc, session, second)
-    with suppress(ValueError):  # an earlier session has no name of it: the number is shown
+    with suppress(ValueError):  # without a name of it the number is shown
         doc.settings.show_accuracy(usable_choice(session.panels.get("accuracy")))
     # Before the layers: sizes of points follow these fields.
     for name, (_, put) in _fields(parts.seeds).items():
@@ -228,7 +228,6 @@ def _fields(seeds: Any) -> dict[str, tuple[Callable[[], Any], Callable[[Any], No
     """How each field of the panel of the cells is read, and how it shows a value."""
     size = seeds.find_cells.cell_size
     return {
-        # Its words were others in earlier sessions.
         "start_as": (seeds.shape.currentText, lambda text: seeds.use_spheres("sphere" in text)),
         "radius": (seeds.radius.value, seeds.radius.setValue),
         "cell_size": (size.value, size.setValue),
