@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.golden import BALL, GRID, MIDDLE, OPTICS, PAIR, SIDE, START, VOXEL, photons, plain
-from napari_deltamic import GaussianPSF, Grid, PupilPSF, fit
-from napari_deltamic.evidence.bead import fit_bead
+from napari_deltamic import GaussianPSF, Grid, fit
 from napari_deltamic.evidence.camera import camera_from_image
 from napari_deltamic.evidence.first_sigma import first_sigma
 from napari_deltamic.evidence.recommend import recommend
@@ -36,7 +35,7 @@ from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings
-from napari_deltamic.scene import Points, Scene, Solid, Surface, simulate
+from napari_deltamic.scene import Scene, Solid, Surface, simulate
 from napari_deltamic.scene.effects import Effects
 
 Found = dict[str, Any]
@@ -107,18 +106,6 @@ def looks() -> Found:
     return found
 
 
-def beads() -> Found:
-    """A PSF from the image of a bead."""
-    grid = Grid((24, 32, 32), (0.25, 0.11, 0.11))
-    true = PupilPSF(0.8, 0.52, 1.333, {5: 0.3, 11: -0.2}, extent=(1.2, 1.2))
-    start = PupilPSF(0.8, 0.52, 1.333, {5: 0.0, 11: 0.0}, extent=(1.2, 1.2))
-    spot = Points(np.array([[2.9, 1.7, 1.8]]))
-    image = simulate(Scene((spot,), true), grid, photons=800, background=5.0).image
-    told = fit_bead(image, grid.voxel_size, start)
-    values = {p.name: p.value for p in told.optics.described() if p.fitted}
-    return {**values, **{f"error of {k}": v for k, v in told.errors.items()}}
-
-
 @cache
 def _ended() -> tuple[np.ndarray, FitState]:
     image = plain(effects="attenuation=0.15,halo=0.15:width=0.8")
@@ -160,14 +147,13 @@ CASES: dict[str, Callable[[], Found]] = {
         widths,
         cameras,
         looks,
-        beads,
         scores,
         membrane,
         cluster,
         insides,
     )
 }
-EVIDENCE = ("widths", "cameras", "looks", "beads", "scores")
+EVIDENCE = ("widths", "cameras", "looks", "scores")
 
 
 def _last(image: np.ndarray, mesh: Mesh, **more: object) -> FitState:

@@ -9,10 +9,11 @@ import numpy as np
 from napari_deltamic import Mesh
 from napari_deltamic.geometry import labels_from_points, read_points_csv
 from napari_deltamic.images.stacks import read_image
-from napari_deltamic.measure import ridge_distance, surface_distance
+from napari_deltamic.measure import surface_distance
 
 from .default_command import fitted
 from .figure import Figure, MissingData, Options, Row, at_least, at_most
+from .ridge import ridge_distance
 
 CENTRES = Path(__file__).parent / "data_points" / "vesicles_GUV.csv"
 VOXEL_SIZE = (0.34, 0.133, 0.133)

@@ -17,12 +17,12 @@ from napari_deltamic.geometry import find_cells, mesh_from_labels
 from napari_deltamic.geometry.labels.label_edits import correct_labels, read_clicks_csv
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.images.stacks import read_image
-from napari_deltamic.measure import ridge_distance
-from napari_deltamic.measure.image_similarity import image_similarity
 from napari_deltamic.results.picture import picture
 
 from ..default_command import fitted
 from ..figure import Figure, MissingData, Options, Row, at_least, at_most
+from ..image_similarity import image_similarity
+from ..ridge import ridge_distance
 
 CLICKS = Path(__file__).parent / "data" / "celegans_clicks.csv"
 MOST_CLICKS = 10

@@ -20,7 +20,6 @@ from napari_deltamic import (
     microscope,
     render,
 )
-from napari_deltamic.evidence.bead import BeadFit, fit_bead
 from napari_deltamic.evidence.camera import camera_from_image
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import read_image
@@ -29,6 +28,7 @@ from napari_deltamic.optics.measured import bead_transform
 from napari_deltamic.runs.settings import FitSettings
 
 from ..figure import Figure, MissingData, Options, Row, at_least, at_most
+from .bead_fit import BeadFit, fit_bead
 from .psf_errors import psf_standard_errors
 
 GRID = Grid((24, 40, 40), (0.2, 0.1, 0.1))

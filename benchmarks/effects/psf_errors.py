@@ -6,13 +6,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from napari_deltamic.evidence.bead import physical_errors
 from napari_deltamic.evidence.fitted_scene import FittedScene
 from napari_deltamic.evidence.image_model import ImageModel
 from napari_deltamic.evidence.modes import shape_modes
 from napari_deltamic.fitting.state import FitState
 from napari_deltamic.scene import Grid
 from napari_deltamic.scene.effects import Effects
+
+from .bead_fit import physical_errors
 
 _ACCURACY = 1e-3  # of the image. Measured: half and twice change errors by 0.03 %
 _MODES = 64  # of the shape of a single cell. Measured: half and twice change errors by 6 and 8 %

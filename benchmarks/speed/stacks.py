@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from napari_deltamic import Grid
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.images.stacks import read_image
-from napari_deltamic.measure import ridge_distance
 
 from .. import vesicles as guv
 from ..clusters import embryo, foams, glands
+from ..ridge import ridge_distance
 from .clusters import judged
 from .jobs import Bench, Job, Pair, Side, fit_job
 from .lines import Bar, Case, Line, at_most, compared, not_above, not_below, time_of

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.ridge import ridge_distance
 from membranes import (
     CENTER,
     SHAPE,
@@ -33,7 +34,6 @@ from napari_deltamic.geometry.seed_points import (
     read_points_csv,
     seeds_from_points,
 )
-from napari_deltamic.measure.ridge import ridge_distance
 
 POINTS = Path(__file__).parents[2] / "benchmarks" / "data_points" / "vesicles_GUV.csv"
 

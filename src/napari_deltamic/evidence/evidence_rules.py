@@ -281,50 +281,6 @@ class SliceRules:
 
 
 @dataclass(frozen=True)
-class BeadRules:
-    """How a bead's image is fitted.
-
-    Attributes
-    ----------
-    difference, place_step
-        By which derivatives in the PSF's numbers and in the place (um) are taken: as small as
-        images in double precision allow, and less than any PSF can show.
-    least_first
-        um: the least diameter that a search for it starts from, since a smaller bead is a point to
-        any microscope and the derivative in its diameter vanishes.
-    diameters
-        um, least and largest: beads that are made.
-    first_core, cores
-        Of the diameter of a bead stained at its rim: where a search starts, and what it may be; a
-        core of nothing or of all would be a solid or a shell.
-    settled
-        Relative fall of the residual that is the end: less than the noise of one of ten thousand
-        voxels.
-    accuracy
-        Of the images: below the noise of any bead's image.
-    first_damping, least_damping, most_damping
-        Of Levenberg-Marquardt, relative to the diagonal; at the last nothing moves, so that the
-        search has ended. Measured: half and twice of any change nothing.
-    unit_step
-        By which errors in the PSF's numbers are carried over to its units: rounding and curvature
-        are both below 1e-6 then.
-    """
-
-    difference: float = 1e-3
-    place_step: float = 1e-3
-    least_first: float = 0.2
-    diameters: tuple[float, float] = (1e-2, 50.0)
-    first_core: float = 0.7
-    cores: tuple[float, float] = (0.02, 0.98)
-    settled: float = 1e-4
-    accuracy: float = 1e-3
-    first_damping: float = 1e-3
-    least_damping: float = 1e-9
-    most_damping: float = 1e8
-    unit_step: float = 1e-4
-
-
-@dataclass(frozen=True)
 class ResidualRules:
     """Where a fit leaves something unexplained.
 
@@ -348,4 +304,4 @@ class ResidualRules:
 
 REFIT, MODES, JUDGING = RefitRules(), ModeRules(), JudgingRules()
 CAMERA, SPECTRUM, SLICES = CameraRules(), SpectrumRules(), SliceRules()
-BEAD, RESIDUAL = BeadRules(), ResidualRules()
+RESIDUAL = ResidualRules()

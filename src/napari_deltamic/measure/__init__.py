@@ -1,12 +1,10 @@
-"""Measurements on meshes: cells, junctions, sections, distances to a surface or the image."""
+"""Measurements on meshes: cells, junctions, sections, distances to a surface."""
 
 from napari_deltamic.common.table import Column, Table
 from napari_deltamic.measure.cells import measure_cells
-from napari_deltamic.measure.image_similarity import ImageSimilarity, image_similarity
 from napari_deltamic.measure.junctions import Junction, junction_angles
 from napari_deltamic.measure.known import Known
 from napari_deltamic.measure.measurements import Measurements, measure
-from napari_deltamic.measure.ridge import RidgeDistance, ridge_distance
 from napari_deltamic.measure.section import section
 from napari_deltamic.measure.surface_distance import (
     SurfaceDistance,
@@ -23,22 +21,18 @@ from napari_deltamic.measure.tensions import (
 __all__ = [
     "Column",
     "Estimate",
-    "ImageSimilarity",
     "Junction",
     "Known",
     "Measurements",
-    "RidgeDistance",
     "SurfaceDistance",
     "Table",
     "TensionSettings",
     "distance_to_surface",
-    "image_similarity",
     "junction_angles",
     "measure",
     "measure_cells",
     "relative_pressures",
     "relative_tensions",
-    "ridge_distance",
     "section",
     "surface_distance",
 ]

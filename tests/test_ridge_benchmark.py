@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.ridge import _spots, ridge_distance
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -11,7 +12,6 @@ from napari_deltamic import GaussianPSF, Grid, render
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.mesh import Mesh
 from napari_deltamic.geometry.primitives import sphere
-from napari_deltamic.measure.ridge import _spots, ridge_distance
 
 SIZE = np.array([0.3, 0.15, 0.15])
 SHAPE = (34, 64, 64)

@@ -13,18 +13,65 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
-from ..errors import InputError
-from ..fourier import Band
-from ..optics import Optics
-from ..optics.measured import bead_transform, checked_sizes, checked_stack
-from ..scene import Grid
+from napari_deltamic.common.normal import SIGMA_PER_MEDIAN_DEVIATION
+from napari_deltamic.errors import InputError
+from napari_deltamic.evidence.camera import camera_from_image
+from napari_deltamic.fourier import Band
+from napari_deltamic.optics import Optics
+from napari_deltamic.optics.measured import bead_transform, checked_sizes, checked_stack
+from napari_deltamic.scene import Grid
+
 from .bead_slices import Disturbance, Slices, Term, normal_equations
-from .camera import camera_from_image
-from .evidence_rules import BEAD
 
 Staining = Literal["solid", "shell", "rim"]
 _HALF_WIDTH = 2.355  # by definition 2 sqrt(2 ln 2): at half the maximum of a Gaussian of sigma 1
+
+
+@dataclass(frozen=True)
+class BeadRules:
+    """How a bead's image is fitted.
+
+    Attributes
+    ----------
+    difference, place_step
+        By which derivatives in the PSF's numbers and in the place (um) are taken: as small as
+        images in double precision allow, and less than any PSF can show.
+    least_first
+        um: the least diameter that a search for it starts from, since a smaller bead is a point to
+        any microscope and the derivative in its diameter vanishes.
+    diameters
+        um, least and largest: beads that are made.
+    first_core, cores
+        Of the diameter of a bead stained at its rim: where a search starts, and what it may be; a
+        core of nothing or of all would be a solid or a shell.
+    settled
+        Relative fall of the residual that is the end: less than the noise of one of ten thousand
+        voxels.
+    accuracy
+        Of the images: below the noise of any bead's image.
+    first_damping, least_damping, most_damping
+        Of Levenberg-Marquardt, relative to the diagonal; at the last nothing moves, so that the
+        search has ended. Measured: half and twice of any change nothing.
+    unit_step
+        By which errors in the PSF's numbers are carried over to its units: rounding and curvature
+        are both below 1e-6 then.
+    """
+
+    difference: float = 1e-3
+    place_step: float = 1e-3
+    least_first: float = 0.2
+    diameters: tuple[float, float] = (1e-2, 50.0)
+    first_core: float = 0.7
+    cores: tuple[float, float] = (0.02, 0.98)
+    settled: float = 1e-4
+    accuracy: float = 1e-3
+    first_damping: float = 1e-3
+    least_damping: float = 1e-9
+    most_damping: float = 1e8
+    unit_step: float = 1e-4
+
+
+BEAD = BeadRules()
 
 
 @dataclass(frozen=True, eq=False)

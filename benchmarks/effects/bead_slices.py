@@ -8,8 +8,8 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from ..errors import InputError
-from ..fourier import Band
+from napari_deltamic.errors import InputError
+from napari_deltamic.fourier import Band
 
 Disturbance = Literal["brightness", "background", "drift", "focus", "motion", "axial blur"]
 # What each moves, in um or um^2, and the standard deviation that it is expected to have: without

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from benchmarks.effects.bead_fit import fit_bead
 
 import napari_deltamic as nd
 from napari_deltamic import InputError
-from napari_deltamic.evidence.bead import fit_bead
 
 SHAPE, VOXEL = (13, 19, 21), (0.25, 0.12, 0.12)
 SIGMA = (0.5, 0.2, 0.22)
@@ -102,8 +102,8 @@ def test_without_disturbances_nothing_is_said_of_them():
 
 def test_derivatives_agree_with_differences():
     import torch
+    from benchmarks.effects.bead_slices import Slices
 
-    from napari_deltamic.evidence.bead_slices import Slices
     from napari_deltamic.fourier import Band
 
     band = Band.full((16, 24, 24), VOXEL)

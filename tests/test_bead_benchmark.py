@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from benchmarks.effects.bead_fit import fit_bead
 
 import napari_deltamic as nd
 from napari_deltamic import InputError
-from napari_deltamic.evidence.bead import fit_bead
 from napari_deltamic.fourier import Band
 from napari_deltamic.optics.measured import bead_transform
 
