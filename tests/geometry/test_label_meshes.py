@@ -143,17 +143,18 @@ def test_small_labels_keep_their_volume(across):
 def test_edges_of_small_labels_are_shorter(radius, voxels):
     z, y, x = np.indices((20, 20, 40)) - 9.5
     labels = 1 * (z**2 + y**2 + x**2 < radius**2) + 2 * (z**2 + y**2 + (x - 20) ** 2 < radius**2)
-    found = label_meshes.surfaces_of_labels(labels, (0.2, 0.2, 0.2), (0, 0, 0))
-    assert found.edge == pytest.approx(0.2 * voxels, rel=0.02)
+    assert edge_of(labels, (0.2, 0.2, 0.2)) == pytest.approx(0.2 * voxels, rel=0.02)
+
+
+def edge_of(labels, size):
+    return label_meshes.surfaces_of_labels(labels, size, (0, 0, 0)).edge
 
 
 def test_the_default_edge_is_three_voxels_unless_that_makes_too_many_faces(monkeypatch):
-    size = np.array(SIZE)
-    assert label_meshes.default_edge(halves(), size) == pytest.approx(0.6)
+    assert edge_of(halves(), SIZE) == pytest.approx(0.6)
     monkeypatch.setattr(label_meshes, "MOST_FACES", 400)
     monkeypatch.setattr(label_meshes, "MOST_FACES_EACH", 200)
-    edge = label_meshes.default_edge(halves(), size)
-    assert edge > 0.8
+    assert edge_of(halves(), SIZE) > 0.8
     faces = len(mesh_from_labels(halves(), SIZE).faces)
     assert 250 < faces < 600
 
@@ -163,7 +164,7 @@ def test_many_cells_have_edges_as_long_as_few(monkeypatch):
     monkeypatch.setattr(label_meshes, "MOST_FACES", 2000)
     few = np.kron(np.arange(1, 9).reshape(2, 2, 2), np.ones((12, 12, 12), int))
     many = np.kron(np.arange(1, 65).reshape(4, 4, 4), np.ones((12, 12, 12), int))
-    each = [label_meshes.default_edge(labels, np.ones(3)) for labels in (few, many)]
+    each = [edge_of(labels, (1.0, 1.0, 1.0)) for labels in (few, many)]
     assert each == pytest.approx([3.0, 3.0])
 
 

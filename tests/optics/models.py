@@ -3,6 +3,7 @@
 import torch
 
 from napari_deltamic import optics
+from napari_deltamic.optics.objective import without_defocus
 
 EXTENT = (1.2, 0.9)  # um: small, for speed; what is tested hangs on no extent
 
@@ -84,3 +85,11 @@ def axes(kz=(-3.0, -1.0, 0.0, 1.5, 4.0), ky=(-9.0, 0.0, 5.0), kx=(0.0, 4.0, 11.0
     """A small box of wavevectors."""
     z, y, x = (torch.tensor(k, dtype=torch.float64) for k in (kz, ky, kx))
     return z[:, None, None], y[None, :, None], x[None, None, :]
+
+
+def focal_shift(model):
+    """um: the focus has to be set this much deeper than the structure to see it sharp."""
+    s, weight = model._rho * model._aperture(), model._rho * model._rho_weight
+    v = model._values
+    _, defocus = without_defocus(model._layers(s), s, v["index"], weight)
+    return float(defocus + v["working_distance"] - v["depth"])

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from napari_deltamic import optics
 from napari_deltamic.optics.microscope import gaussian_widths
 
-from .models import pupil, scalar
+from .models import focal_shift, pupil, scalar
 
 R = torch.linspace(0.0, 2.0, 41, dtype=torch.float64)
 FOCUS = torch.zeros(1, dtype=torch.float64)
@@ -74,7 +74,7 @@ def test_two_ways_to_the_same_pupil():
 
 def test_matched_layers_make_no_aberration():
     model = optics.GibsonLanniPSF(1.2, 0.52, 1.515, depth=20.0, extent=(1.5, 1.5))
-    assert model.focal_shift == pytest.approx(0, abs=1e-9)
+    assert focal_shift(model) == pytest.approx(0, abs=1e-9)
     plain = optics.GibsonLanniPSF(1.2, 0.52, 1.515, extent=(1.5, 1.5))
     z = torch.linspace(-1, 1, 5, dtype=torch.float64)
     assert_allclose(model.intensity_at(z, R), plain.intensity_at(z, R), rtol=1e-6, atol=1e-9)
@@ -83,7 +83,7 @@ def test_matched_layers_make_no_aberration():
 def test_oil_into_water_needs_a_deeper_focus_and_stays_centred():
     model = optics.GibsonLanniPSF(1.1, 0.52, 1.515, 1.333, 5.0)
     # Paraxially by the ratio of the indices, at the rim by more.
-    assert 5 * (1.515 / 1.333 - 1) < model.focal_shift < 5.0
+    assert 5 * (1.515 / 1.333 - 1) < focal_shift(model) < 5.0
     z = torch.linspace(-1.5, 1.5, 61, dtype=torch.float64)
     axis = model.intensity_at(z, torch.zeros(1, dtype=torch.float64))[:, 0]
     assert abs(float(z[int(axis.argmax())])) < 0.5

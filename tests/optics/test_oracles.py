@@ -6,6 +6,8 @@ import torch
 
 from napari_deltamic import optics
 
+from .models import focal_shift
+
 VOXEL, HALF, OVER = 0.05, 12, 9
 
 
@@ -34,7 +36,7 @@ def test_layers_against_psfmodels(kind, na, sample_index, depth):
     model = make(na, 0.52, 1.515, sample_index, depth)
     z = np.linspace(-1, 1, 9)
     # There, planes are told from the coverslip, at the paraxial focus of the depth.
-    shift = model.focal_shift + depth - 150.0 + depth * (1 - 1.515 / sample_index) + 150.0
+    shift = focal_shift(model) + depth - 150.0 + depth * (1 - 1.515 / sample_index) + 150.0
     other = {"scalar": psfmodels.scalar_psf, "vectorial": psfmodels.vectorial_psf}[kind]
     numbers = {"NA": na, "ni": 1.515, "ni0": 1.515, "ns": sample_index, "sf": OVER, "mode": 1}
     expected = other(z + shift, nx=2 * HALF + 1, dxy=VOXEL, pz=depth, wvl=0.52, params=numbers)

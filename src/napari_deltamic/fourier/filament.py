@@ -39,70 +39,6 @@ from .triangle import sinc
 _PAIRS_AT_ONCE = 1 << 20  # bounds the memory of the closed forms
 
 
-def filament_ft(
-    vertices: Tensor | np.ndarray,
-    segments: Tensor | np.ndarray,
-    wavevectors: Tensor | np.ndarray,
-    weights: Tensor | np.ndarray | None = None,
-) -> Tensor:
-    """Fourier transform of line segments at any wavevectors; exact but for rounding.
-
-    ``u_hat(xi) = sum over segments of weight * integral along the segment of exp(-i x.xi) ds``.
-
-    Parameters
-    ----------
-    vertices
-        (V, 3) um.
-    segments
-        (S, 2) integers: the vertices that each joins; see :func:`path_segments`.
-    wavevectors
-        (K, 3) rad/um.
-    weights
-        (S,) signal per um; 1 where not given.
-
-    Returns
-    -------
-    (K,) complex128, differentiable in vertices and weights. A segment of no length pulls nothing.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong or a segment names a vertex that is not there.
-    """
-    v, s, w, xi = _checked(vertices, segments, wavevectors, weights, 2)
-    return _in_chunks(_segments_part, v[s[:, 0]], v[s[:, 1]], w, xi)
-
-
-def point_ft(
-    points: Tensor | np.ndarray,
-    wavevectors: Tensor | np.ndarray,
-    weights: Tensor | np.ndarray | None = None,
-) -> Tensor:
-    """Fourier transform of points at any wavevectors: ``sum of weight * exp(-i x.xi)``.
-
-    Parameters
-    ----------
-    points
-        (P, 3) um.
-    wavevectors
-        (K, 3) rad/um.
-    weights
-        (P,) signal of each; 1 where not given.
-
-    Returns
-    -------
-    (K,) complex128, differentiable in points and weights.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong.
-    """
-    every = np.arange(len(points))[:, None]
-    v, _, w, xi = _checked(points, every, wavevectors, weights, 1)
-    return _in_chunks(_points_part, v, w, xi)
-
-
 def path_segments(count: int, closed: bool = False) -> np.ndarray:
     """(S, 2) segments that join ``count`` vertices one after the other; closed: back to the first.
 
@@ -265,30 +201,6 @@ def _choose_line_rules(
 
 
 # ----------------------------------------------------------------------------------- closed forms
-
-
-def _checked(
-    vertices: Tensor | np.ndarray,
-    elements: Tensor | np.ndarray,
-    wavevectors: Tensor | np.ndarray,
-    weights: Tensor | np.ndarray | None,
-    corners: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    v, xi = (torch.as_tensor(t).to(torch.float64) for t in (vertices, wavevectors))
-    e = torch.as_tensor(elements).to(torch.int64)
-    if v.ndim != 2 or v.shape[1] != 3 or e.ndim != 2 or e.shape[1] != corners:
-        raise InputError(
-            f"positions (V, 3) and elements (N, {corners}) are needed, "
-            f"not {tuple(v.shape)} and {tuple(e.shape)}"
-        )
-    if xi.ndim != 2 or xi.shape[1] != 3:
-        raise InputError(f"wavevectors must have shape (K, 3), not {tuple(xi.shape)}")
-    if e.numel() and (int(e.min()) < 0 or int(e.max()) >= len(v)):
-        raise InputError("a segment names a vertex that is not there")
-    w = v.new_ones(len(e)) if weights is None else torch.as_tensor(weights).to(torch.float64)
-    if w.shape != (len(e),):
-        raise InputError(f"weights must have shape ({len(e)},), not {tuple(w.shape)}")
-    return v, e, w, xi
 
 
 def _in_chunks(part: Callable[..., Tensor], *tensors: Tensor) -> Tensor:

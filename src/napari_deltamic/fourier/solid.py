@@ -26,65 +26,11 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from .closed_form import as_mesh_tensors, band_ft, mesh_ft, row_wavevectors
+from .closed_form import band_ft, mesh_ft, row_wavevectors
 from .flux import flux_ft, inverse_square, within
 from .plan import Plan
-from .solid_plan import EXACT, NEAR, SolidPlan, area_vectors, centre_of, nodes, reach_of
+from .solid_plan import EXACT, SolidPlan, area_vectors, centre_of, nodes
 from .triangle import triangle_transform
-
-
-def solid_ft(
-    vertices: Tensor | np.ndarray,
-    faces: Tensor | np.ndarray,
-    wavevectors: Tensor | np.ndarray,
-    contrast: Tensor | np.ndarray | None = None,
-) -> Tensor:
-    """Fourier transform of what closed surfaces hold, at any wavevectors.
-
-    ``u_hat(xi) = sum over regions of weight * integral over the region of exp(-i x.xi) dV``, exact
-    but for rounding, at xi = 0 (the volume) and near it too. It costs three closed-form transforms
-    of the surface.
-
-    Parameters
-    ----------
-    vertices
-        (V, 3) um, Z, Y, X, float32 or float64; the result is complex64 or complex128. The parts
-        cancel, so all is in double precision inside.
-    faces
-        (F, 3) integers, wound as those of a :class:`napari_deltamic.Mesh`.
-    wavevectors
-        (K, 3) rad/um.
-    contrast
-        (F,) signal per um^3 behind each face minus that in front of it; see :func:`contrasts`.
-        1 where not given: one closed region.
-
-    Returns
-    -------
-    (K,) complex tensor, differentiable in vertices and contrast.
-
-    Raises
-    ------
-    InputError
-        If a shape is wrong or a face names a vertex that is not there. Whether the surface is
-        closed is not checked; the result means nothing where it is not.
-    """
-    v, f, jump = as_mesh_tensors(vertices, faces, contrast)
-    xi = torch.as_tensor(wavevectors, device=v.device).to(torch.float64)
-    if xi.ndim != 2 or xi.shape[1] != 3:
-        raise InputError(f"wavevectors must have shape (K, 3), not {tuple(xi.shape)}")
-    x = v.to(torch.float64)
-    centre = centre_of(x)
-    reach = reach_of(x, centre)
-    near = (xi.abs() * reach).amax(1) <= NEAR
-    u = torch.zeros(len(xi), dtype=torch.complex128, device=x.device)
-    u = u.index_put((near.nonzero()[:, 0],), _shells(x, f, jump, xi[near], centre))
-    far = (~near).nonzero()[:, 0]
-    flux = torch.stack(
-        [mesh_ft(x, f, xi[far], normal * jump) for normal in _normals(x, f).unbind(1)], 1
-    )
-    flux = flux + _empty_flux(x, f, jump, xi[far])
-    u = u.index_put((far,), (_flux_factor(xi[far]) * flux).sum(1))
-    return u.to(torch.complex64 if v.dtype == torch.float32 else torch.complex128)
 
 
 def contrasts(regions: Tensor | np.ndarray, ids: np.ndarray, weights: Tensor) -> Tensor:
@@ -227,12 +173,6 @@ def _empty_flux(
     share, _ = triangle_transform(edges @ wavevectors.T)
     share = 2 * share * torch.exp(-1j * (c.mean(1) @ wavevectors.T))
     return share.T @ vectors.to(torch.complex128)
-
-
-def _flux_factor(wavevectors: Tensor) -> Tensor:
-    """i xi / |xi|^2 along the last axis, 0 at zero."""
-    squared = (wavevectors**2).sum(-1, keepdim=True)
-    return 1j * wavevectors / torch.where(squared > 0, squared, 1.0)
 
 
 def _closed_form(plan: SolidPlan, vertices: Tensor, faces: Tensor, contrast: Tensor) -> Tensor:

@@ -268,7 +268,7 @@ class GibsonLanniPSF(ObjectivePSF):
     oil-immersion objective lens used in three-dimensional light microscopy", J. Opt. Soc. Am. A 8,
     1991. Light passes the sample to the depth of the structure, the coverslip and the immersion;
     what differs from the design makes the aberration. The part of it that is a shift of the focus
-    is taken away, as it would move what is measured: :attr:`focal_shift` tells it.
+    is taken away, as it would move what is measured.
 
     Parameters
     ----------
@@ -352,19 +352,8 @@ class GibsonLanniPSF(ObjectivePSF):
             - through("working_distance", "design_index")
         )
 
-    def _split(self, s: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-        """The path without its mean and its defocus, and that defocus (um of immersion)."""
-        return without_defocus(self._layers(s), s, self._values["index"], weight)
-
     def _path(self, s: Tensor, weight: Tensor) -> Tensor | None:
-        return self._split(s, weight)[0]
-
-    @property
-    def focal_shift(self) -> float:
-        """um: the focus has to be set this much deeper than the structure to see it sharp."""
-        with torch.no_grad():
-            _, defocus = self._split(self._rho * self._aperture(), self._rho * self._rho_weight)
-        return float(defocus) + self._number("working_distance") - self._number("depth")
+        return without_defocus(self._layers(s), s, self._values["index"], weight)[0]
 
 
 class VectorialPSF(GibsonLanniPSF):

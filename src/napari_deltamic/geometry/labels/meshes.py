@@ -190,11 +190,6 @@ def _edge_in_voxels(labels: IntArray, size: FloatArray) -> float:
     return float(np.clip(_OF_RADIUS * radius, _FINER * EDGE_IN_VOXELS, EDGE_IN_VOXELS))
 
 
-def default_edge(labels: IntArray, size: FloatArray) -> float:
-    """um, the edge length of a mesh of labels that is fine enough and can be fitted in minutes."""
-    return edge_within(size, _area(labels, size), len(np.unique(labels[labels > 0])))
-
-
 def _area(labels: IntArray, size: FloatArray) -> float:
     """um^2, about, of all surfaces."""
     area = 0.0
