@@ -69,7 +69,7 @@ def fit(
     accuracy
         Overrides that of the settings.
     settings
-        Everything else; see :class:`napari_deltamic.runs.settings.FitSettings`.
+        Everything else; see :class:`napari_deltamic.runs.fit_settings.FitSettings`.
     counted
         (Z, Y, X) bool: voxels that may count. Voxels of objects that no mesh describes should be
         left out, or they attract the mesh; their light is estimated, and what the PSF spreads from

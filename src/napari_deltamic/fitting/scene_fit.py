@@ -107,7 +107,7 @@ def fit_scene(
     max_iterations
         The fit gives up after so many.
     device
-        As in :class:`napari_deltamic.runs.settings.FitSettings`.
+        As in :class:`napari_deltamic.runs.fit_settings.FitSettings`.
 
     Raises
     ------

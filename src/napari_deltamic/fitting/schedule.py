@@ -113,7 +113,7 @@ class Progress:
     variance
         Of the residuals in it; 0 before the first.
     left
-        See :class:`~.pose.Posed`.
+        See :class:`~.posed.Posed`.
     held
         Whether voxels and weights stay what they are.
     settled
