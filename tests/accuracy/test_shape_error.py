@@ -70,9 +70,7 @@ def test_shape_errors_fall_along_the_dial():
     assert enough(found) == "careful"
 
 
-def test_shape_errors_can_be_stopped():
-    found = shape_errors(TRUTH, GRID, OPTICS, 100, settings=SHORT, should_stop=lambda: True)
-    assert list(found) == []
+def test_shape_errors_need_an_image():
     with pytest.raises(nd.InputError, match="draw"):
         next(shape_errors(TRUTH, GRID, OPTICS, 100, draws=0))
 

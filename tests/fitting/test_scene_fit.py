@@ -142,7 +142,7 @@ def test_a_branched_thread_and_a_ring_are_found():
     joined = [(0 if k % 5 == 0 else k, k + 1) for k in range(15)]
     turn = np.linspace(0, 2 * np.pi, 16)[:-1]
     ring = [1, 1.3, 2.4] + 0.35 * np.stack([0 * turn, np.sin(turn), np.cos(turn)], 1)
-    true = [nd.Filament(star, joined), nd.Filament(ring, path_segments(15, closed=True))]
+    true = [nd.Filament(star, joined), nd.Filament(ring, [(k, (k + 1) % 15) for k in range(15)])]
     moved = [nd.Filament(f.vertices + 1.2 * VOXEL, f.segments) for f in true]
     for found, filament in zip(fitted(measured(*true), *moved).scene.structures, true, strict=True):
         assert apart(found, filament) < 0.2

@@ -88,9 +88,9 @@ def test_no_length_gives_nothing_and_pulls_nothing():
     assert not gradient.any()
 
 
-def test_closed_paths():
-    assert path_segments(4, closed=True).tolist() == [[0, 1], [1, 2], [2, 3], [3, 0]]
-    assert path_segments(2, closed=True).tolist() == [[0, 1]]
+def test_a_path_needs_two_vertices():
+    assert path_segments(4).tolist() == [[0, 1], [1, 2], [2, 3]]
+    assert path_segments(2).tolist() == [[0, 1]]
     with pytest.raises(nd.InputError, match="two vertices or more"):
         path_segments(1)
 

@@ -35,16 +35,6 @@ def test_cells_that_touch_in_a_mask_are_asked_about():
     assert repair_labels(np.where(two_boxes(), 1, 0)).asked == ()
 
 
-def test_gaps_up_to_a_width_are_shared_out():
-    labels = two_boxes(gap=3)
-    done = repair_labels(labels, (1, 1, 1), gap=3.5)
-    row = done.labels[5, 7]
-    assert (row[2:21] > 0).all()
-    assert (row[11], row[13]) == (1, 2)
-    assert "gaps up to 3.5 um" in done.remarks[0]
-    assert (repair_labels(labels, (1, 1, 1), gap=1.5).labels[5, 7, 11:14] == 0).all()
-
-
 def test_the_largest_part_is_kept_and_the_others_are_named():
     labels = two_boxes()
     labels[0, 0, 0] = 1

@@ -109,7 +109,6 @@ def shape_errors(
     choices: Sequence[str] = CHOICES,
     draws: int = DRAWS,
     progress: Callable[[int, int], None] | None = None,
-    should_stop: Callable[[], bool] | None = None,
 ) -> Iterator[ShapeError]:
     """Fit simulated images of a surface at several choices of the dial.
 
@@ -127,8 +126,6 @@ def shape_errors(
         Of the fits; by default those for seeds near the membranes.
     progress
         Called with how many fits are done, and how many there are.
-    should_stop
-        Asked between two iterations; what was begun is then dropped.
     """
     if draws < 1:
         raise InputError("at least one noise draw is needed")
@@ -148,8 +145,6 @@ def shape_errors(
             last: FitState | None = None
             for state in fit(image, grid, begun, optics, settings=given):
                 last = state
-                if should_stop is not None and should_stop():
-                    return
             assert last is not None, "a fit yields at least one state"
             seconds.append(time.perf_counter() - began)
             iterations.append(last.iteration)

@@ -117,7 +117,6 @@ def measure_ways(
     budget: float = 10.0,
     costs: Costs | None = None,
     progress: Callable[[int, int], None] | None = None,
-    should_stop: Callable[[], bool] | None = None,
 ) -> Iterator[Way]:
     """Time every way to render a scene, one after the other; the reference comes first.
 
@@ -134,8 +133,6 @@ def measure_ways(
         Of this machine; by default those kept, or the built-in ones.
     progress
         Called with how many ways are done, and how many there are.
-    should_stop
-        Asked between two ways.
 
     Raises
     ------
@@ -157,8 +154,6 @@ def measure_ways(
     incoming = torch.randn(grid.shape, generator=generator, dtype=torch.float64)
     known: tuple[Tensor, Tensor] | None = None
     for done, candidate in enumerate(candidates):
-        if should_stop is not None and should_stop():
-            return
         way = candidate.way
         is_reference = candidate is reference
         if way.expected > budget and not is_reference:

@@ -39,15 +39,15 @@ from .triangle import sinc
 _PAIRS_AT_ONCE = 1 << 20  # bounds the memory of the closed forms
 
 
-def path_segments(count: int, closed: bool = False) -> np.ndarray:
-    """(S, 2) segments that join ``count`` vertices one after the other; closed: back to the first.
+def path_segments(count: int) -> np.ndarray:
+    """(S, 2) segments that join ``count`` vertices one after the other.
 
     Raises InputError for fewer than two vertices.
     """
     if count < 2:
         raise InputError(f"a filament needs two vertices or more, not {count}")
-    first = np.arange(count if closed and count > 2 else count - 1)
-    return np.stack([first, (first + 1) % count], 1)
+    first = np.arange(count - 1)
+    return np.stack([first, first + 1], 1)
 
 
 # ----------------------------------------------------------------------------------------- plans

@@ -54,23 +54,20 @@ class RepairedLabels:
 def repair_labels(
     labels: ArrayLike | Sequence[ArrayLike],
     voxel_size: Sequence[float] | FloatArray = (1.0, 1.0, 1.0),
-    *,
-    gap: float = 0.0,
 ) -> RepairedLabels:
     """Bring a segmentation into the form that `mesh_from_labels` takes.
 
     Whole numbers kept as floats become integers, each large part of a mask (an image of one label)
     becomes a cell, empty slices between others that have labels are filled, holes are filled, of a
     label in several parts the largest is kept, voxels that several layers claim go to the cell that
-    they lie deepest in, gaps up to a width are shared out. Labels that touch the border are kept
-    and named: their surfaces are closed there, where no membrane is.
+    they lie deepest in. Labels that touch the border are kept and named: their surfaces are closed
+    there, where no membrane is.
 
     Parameters
     ----------
     labels : (Z, Y, X) array, 0 = outside; or a list of such arrays or of masks that may overlap,
         each label of each a cell of its own.
     voxel_size : um, Z, Y, X.
-    gap : um; ground between labels that is narrower is shared out among them.
 
     Raises
     ------
@@ -94,8 +91,6 @@ def repair_labels(
     if len(layers) == 1:
         numbers = _mask_as_cells(numbers, repairs)
     numbers = _in_one_part(numbers, repairs)
-    if gap > 0:
-        numbers = _closed(numbers, size, gap, repairs)
     return RepairedLabels(numbers, tuple(repairs), tuple(_doubts(numbers)), _asked(numbers))
 
 
@@ -238,19 +233,6 @@ def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.i
         )
     if holes:
         repairs.append(f"{listed('label', holes)}: holes were filled")
-    return result
-
-
-def _closed(
-    numbers: NDArray[np.int32], size: FloatArray, gap: float, repairs: list[str]
-) -> NDArray[np.int32]:
-    before = int((numbers > 0).sum())
-    # From the centres of voxels, which lie half a voxel inside.
-    reach = (gap + float(size.min())) / 2
-    result: NDArray[np.int32] = share_out_gaps(numbers, size, reach).astype(np.int32)
-    filled = int((result > 0).sum()) - before
-    if filled:
-        repairs.append(f"gaps up to {gap:g} um were shared out among the labels: {filled} voxels")
     return result
 
 
