@@ -80,7 +80,9 @@ PLAIN = (
     "effects",
     "first_effects",
     "objective",
+    "looks",
     "rounds",
+    "slivers",
     "structure",
 )
 
@@ -98,7 +100,8 @@ def test_what_a_checkpoint_lacks_is_told_in_one_sentence(image, checkpoint, tmp_
 def test_what_its_run_lacks_is_told_in_one_sentence(image, checkpoint, tmp_path, name):
     kept = load_checkpoint(checkpoint)
     run = json.loads(str(kept["run"]))
-    del (run["policy"] if name == "rounds" else run)[name]
+    for values in (run, run["policy"], run["upkeep"]):
+        values.pop(name, None)
     np.savez(tmp_path / "less.npz", **{**kept, "run": np.array(json.dumps(run))})
     with pytest.raises(InputError, match=f"checkpoint is damaged .there is no '{name}'.$"):
         resume(image, tmp_path / "less.npz")

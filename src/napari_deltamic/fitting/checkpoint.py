@@ -139,7 +139,7 @@ class Checkpoint:
             fitted=fitted,
             stage=Stage.from_dict(plain, blurred_for),
             policy=TopologyPolicy.from_dict(plain["policy"]),
-            remeshing=plain["upkeep"],
+            remeshing={name: float(plain["upkeep"][name]) for name in self.remeshing},
         )
 
 

@@ -116,7 +116,7 @@ class Remeshing:
         """Go on from what :meth:`to_dict` gave."""
         self.left, self._coarse = float(kept["slivers"]), float(kept["coarse"])
         self._begun = bool(kept["begun"])
-        self._looks, self._refined = (int(kept.get(name, 0)) for name in ("looks", "refined"))
+        self._looks, self._refined = int(kept["looks"]), int(kept["refined"])
 
     def wanted(self, mesh: Mesh, flatness: float | None) -> bool:
         """Whether the mesh has too many slivers, or edges of another level or curvature.
