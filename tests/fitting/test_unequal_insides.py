@@ -186,11 +186,6 @@ def test_a_light_is_what_its_report_says():
     assert Light.from_dict(json.loads(json.dumps(asdict(BOTH)))) == BOTH
 
 
-def test_a_light_from_an_earlier_file_has_insides_alike():
-    assert Light.from_dict({"membrane": 1.0, "interior": 0.5}) == Light(1.0, 0.5)
-    assert Light.from_dict({"interior": 0.5, "cells": [[2, 0.25]]}).cells == ((2, 0.25),)
-
-
 def test_images_of_unequal_insides_add_up():
     mesh = two(8.0, 2.0)
     whole = expected_image(mesh, GRID, OPTICS, 1e-5, 1.0, 0.0, light=DIM)
