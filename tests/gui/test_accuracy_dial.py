@@ -375,7 +375,7 @@ def test_a_session_keeps_the_name(seeded, make_widget, spin):
     list(restore(other.parts, session))
     assert other.doc.settings.accuracy == "quick"
     assert other.doc.settings.fit_settings() == session.settings.fit
-    # An earlier version kept the number alone.
+    # Without the name, the number is shown.
     fit = session.settings.fit.model_copy(update={"shape_error": "normal"})
     settings = session.settings.model_copy(update={"fit": fit})
     list(restore(other.parts, replace(session, panels={}, settings=settings)))

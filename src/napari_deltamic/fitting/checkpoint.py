@@ -118,10 +118,7 @@ class Checkpoint:
         if "dimmed" in found and not self._are_nuclei(found["dimmed"]):
             raise InputError("the checkpoint is damaged: its nuclei are of another image")
         plain: dict[str, Any] = json_values(str(found["run"]))
-        begun_with = plain["objective"]
-        if begun_with is not None:  # as they are of the PSF that is made of them
-            begun_with = values_of(psf_from(begun_with))
-        if begun_with != values_of(self.fitted.first_optics):
+        if plain["objective"] != values_of(self.fitted.first_optics):
             raise other_settings()
         if plain["density"] != self.density:
             raise other_settings()
