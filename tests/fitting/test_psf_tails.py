@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import psf_tails
+from napari_deltamic.fitting import model_choice, psf_tails
 from napari_deltamic.fitting.found_psf import psf_from, values_of
 from napari_deltamic.fitting.imaging import Imaging
 from napari_deltamic.fitting.job import FitInput, following, optics_of, scene_with
@@ -219,8 +219,18 @@ def test_a_run_that_was_edited_is_not_asked_for_tails(monkeypatch):
 
 @pytest.mark.slow
 def test_what_shines_is_held(monkeypatch):
-    """Even where all may shine: in two nuclei, membranes took the credit of the tails."""
+    """Even where all may shine: in two nuclei, membranes took the credit of the tails.
+
+    And once it was found at rest with one Gaussian, it is not asked again with two.
+    """
     begun_with, own = [], psf_tails.begun
+    asked, looked_for = [], model_choice.membranes_as_well
+
+    def noted_again(terms, objective, *given):
+        asked.append(type(objective.fitted.optics))
+        return looked_for(terms, objective, *given)
+
+    monkeypatch.setattr(model_choice, "membranes_as_well", noted_again)
 
     def noted(terms, fitted, factored):
         begun_with.append(fitted.structure)
@@ -231,6 +241,7 @@ def test_what_shines_is_held(monkeypatch):
     assert begun_with == ["interior"]
     first = [type(state.optics) for state in found].index(nd.GaussianMixturePSF)
     assert {state.light.membrane for state in found[first:]} == {0.0}
+    assert asked == [nd.GaussianPSF]
 
 
 def test_a_psf_that_was_found_is_kept_as_plain_values():

@@ -18,6 +18,7 @@ from .level_run import LevelRun
 from .position import Position, RunContext
 from .problem import Problem
 from .reporting import Reporter, verdict
+from .schedule import Progress
 from .stage import Stage
 from .state import FitState
 from .successor import is_given_up, successor
@@ -187,13 +188,15 @@ class Run:
     def go_on_at(self, fitted: Fitted, all_shines: bool) -> None:
         """Begin at the last level, where another fit has ended.
 
-        all_shines : whether all that may shine does again, or what did in the end.
+        all_shines : whether all that may shine does again; else what did in the end stays, and what
+        else might shine is not asked again.
         """
         at = self._level.at
         fitted = fitted.seen_through(at.fitted.optics)
         if all_shines:
             fitted = at.choice.anew(fitted)
-        stage = replace(at.stage, level_number=len(at.levels) - 1)
+        progress = Progress(again=not all_shines)
+        stage = replace(at.stage, level_number=len(at.levels) - 1, progress=progress)
         self._go_on_at(Position(fitted, stage, at.settings))
         self._context.reporter.other_mesh(fitted.mesh)
 
