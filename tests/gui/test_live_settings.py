@@ -76,9 +76,13 @@ def test_what_cannot_be_used_is_told_and_the_fit_goes_on(begun, spin):
 
 
 def test_the_voxel_size_is_for_the_next_run(begun, spin):
-    sigma = begun.doc.run.state.optics.sigma_um
+    sigma, said = begun.doc.run.state.optics.sigma_um, begun.running.other_size
     begun.image.voxel_size._boxes[0].setValue(0.4)
-    assert "voxel size: used from the next run on" in begun.running.note.text()
+    assert said.text().startswith("The fit goes on with voxels of 0.3 x 0.2 x 0.2 µm; the next")
+    begun.image.voxel_size._boxes[0].setValue(SIZE[0])
+    assert said.text() == ""
+    assert begun.running.note.text() == ""
+    begun.image.voxel_size._boxes[0].setValue(0.4)
     n = len(begun.doc.run.history.loss)
     spin(lambda: len(begun.doc.run.history.loss) > n + 3)
     assert begun.doc.run.state.optics.sigma_um == sigma

@@ -248,6 +248,49 @@ def wait_for_grade(widget, spin):
 
 
 @pytest.mark.usefixtures("judged")
+@pytest.mark.parametrize("by_field", [True, False])
+def test_a_result_is_not_graded_for_another_voxel_size(
+    seeded, with_image, spin, tmp_path, told, by_field
+):
+    seeded.settings.max_iterations.setValue(3)
+    seeded.start()
+    wait_for_grade(seeded, spin)
+    running, results = seeded.running, seeded.results
+    go_on, grade = running.history.go_on_button, running.grade.text()
+
+    def resize(size):
+        if by_field:
+            seeded.doc.image.rescale(size)
+        else:  # as scripts do
+            with_image.layers["cell"].scale = size
+
+    assert grade
+    assert running.other_size.isHidden()
+    assert go_on.isEnabled()
+    resize(np.multiply(SIZE, (1, 0.5, 0.5)))
+    assert running.other_size.text() == (
+        "Fitted with voxels of 0.3 x 0.2 x 0.2 µm, but the image has others now: fit again for a "
+        "grade."
+    )
+    assert (running.grade.text(), running.strays) == ("", ())
+    assert running.worst.isHidden()
+    assert running.again.isHidden()
+    assert not go_on.isEnabled()
+    assert "0.3 x 0.2 x 0.2 µm" in go_on.toolTip()
+    with pytest.raises(InputError, match="no longer has"):
+        running.history.go_on()
+    assert "with voxels of 0.3 x 0.2 x 0.2 µm" in results.other_size.text()
+    results.save_table(str(tmp_path / "cells.csv"))
+    assert "fitted with voxels of 0.3 x 0.2 x 0.2" in told[-1]
+    resize(SIZE)
+    assert running.other_size.isHidden()
+    assert results.other_size.isHidden()
+    assert running.grade.text() == grade
+    assert go_on.isEnabled()
+    assert go_on.toolTip() == "<qt>Start a fit from the state shown, with little blur.</qt>"
+
+
+@pytest.mark.usefixtures("judged")
 def test_without_an_image_nothing_is_known_and_nothing_is_shown(seeded, with_image, spin, told):
     seeded.settings.max_iterations.setValue(3)
     seeded.start()

@@ -121,6 +121,20 @@ class Document:
         record = self.record
         return Timeline() if record is None else record.timeline
 
+    @property
+    def other_size(self) -> str:
+        """The voxel size that was fitted, in words, where the image has another one now; else ''.
+
+        That of the fit which runs, or else of the result.
+        """
+        record = self.record
+        if record is None or (self.running and not self.begun):
+            return ""
+        link = record.link
+        known = link.image_layer in self.viewer.layers
+        same = not known or link.frame.has_size_of(link.image_layer)
+        return "" if same else link.frame.size_in_words
+
     def present(self) -> Present | None:
         """What there is to change: the newest state of the fit, or its result."""
         run = self.run

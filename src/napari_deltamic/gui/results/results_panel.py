@@ -56,13 +56,15 @@ class ResultsPanel(QGroupBox):
         tip = "Save what was found, or add the cells as labels."
         self.export = button("Export", tip, None, self)
         self.export.setMenu(self._export_menu())
+        self.other_size = Note(self, "fair")
         self.scale, self.why = Note(self), Note(self)  # of the colours; of the cell chosen
         buttons = row(self.colour, self.columns, self.export)
-        filled(QVBoxLayout(self), self.table, self.why, buttons, self.scale)
+        filled(QVBoxLayout(self), self.other_size, self.table, self.why, buttons, self.scale)
         self.table.chosen.connect(self._chosen)
         self.colour.currentIndexChanged.connect(self._colour_cells)
         for signal in (doc.result_changed, doc.judged, doc.image.changed, doc.ended):
             signal.connect(self._show)
+        doc.image.looked.connect(self._show)
         doc.selection_changed.connect(self._highlight)
         self._offer_colours()
         self._show()
@@ -124,11 +126,14 @@ class ResultsPanel(QGroupBox):
         return record
 
     def _saved(self, path: str) -> None:
-        self._doc.told.emit(f"saved {path}")
+        size = self._doc.other_size
+        self._doc.told.emit(f"saved {path}" + (f", as it was fitted with {size}" if size else ""))
 
     def _show(self) -> None:
         """The cells of the result; nothing where there is none."""
-        record = self._doc.result
+        record, size = self._doc.result, self._doc.other_size
+        text = f"Fitted with {size}: table and exports are for that size."
+        self.other_size.say(text if size else "")
         self.setVisible(record is not None)
         self.setEnabled(record is not None)
         if record is None or record.state is None:

@@ -48,6 +48,7 @@ class CheckPanel(QGroupBox):
         self.away, self.away_row = Note(self, "fair"), QWidget(self)
         tip = "Move the slider to the time of the result."
         self.away_go = button("Go there", tip, self._go_to_time, self)
+        self.other_size = Note(self, "fair", style="font-weight: bold;")
         self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
         tip = "Go to where the image differs most from the rendered one."
         self.worst = button("Worst place", tip, self.go_to_worst, self)
@@ -90,7 +91,9 @@ class CheckPanel(QGroupBox):
 
     @property
     def _judged(self) -> Judged | None:
-        return None if self._doc.result is None else self._doc.result.judged
+        """What is known of the result, where it is one of the image as it is now."""
+        doc = self._doc
+        return None if doc.result is None or doc.other_size else doc.result.judged
 
     def tell(self, text: str) -> None:
         """What came of something that the user did, in a line."""
@@ -141,6 +144,7 @@ class CheckPanel(QGroupBox):
         doc.view_changed.connect(self._show_view)
         for signal in (doc.image.changed, doc.result_changed, doc.judged, doc.ended):
             signal.connect(self._show)
+        doc.image.looked.connect(self._show_size)
 
     def _work_changed(self) -> None:
         if self._doc.running:  # which just began, or else nothing of it is lost
@@ -157,8 +161,10 @@ class CheckPanel(QGroupBox):
         if ended is not None and ended.by_hand:
             words = "", words[1]  # how the fit ended is no praise of what is shown
         self._show_verdict(*words)
-        self._show_grade(ended if doc.in_sight else None)
-        state = None if ended is None else ended.state
+        self.other_size.say(self._size_in_words())
+        valid = ended if doc.in_sight and not doc.other_size else None
+        self._show_grade(valid)
+        state = None if valid is None else valid.state
         self.moving.setVisible(state is not None and state.moving is not None)
         known = record is not None and (record.state is not None or (doc.running and doc.begun))
         shown = known and doc.in_sight
@@ -174,6 +180,21 @@ class CheckPanel(QGroupBox):
         if not shown:
             self.numbers.hide()
         self._hide_if_empty()
+
+    def _show_size(self) -> None:
+        """The scale of the image may be another, or that of the fit again."""
+        if self.other_size.text() != self._size_in_words():
+            self._show()
+
+    def _size_in_words(self) -> str:
+        """What is to be said where the image has another voxel size than what was fitted."""
+        doc = self._doc
+        size = doc.other_size if doc.in_sight else ""
+        if not size:
+            return ""
+        if doc.running:
+            return f"The fit goes on with {size}; the next one takes the size of the image."
+        return f"Fitted with {size}, but the image has others now: fit again for a grade."
 
     def _began(self, fresh: bool) -> None:
         moments = self._doc.timeline.moments
@@ -256,7 +277,7 @@ class CheckPanel(QGroupBox):
         row((self.away, 1), self.away_go, of=self.away_row)
         row((self.stray, 1), self.stray_go, self.stray_add, of=self.stray_row)
         ended = row((self.verdict, 1), self.worst)
-        said = self.away_row, self.grade, self.again, ended, self.moving, self.note
+        said = self.away_row, self.other_size, self.grade, self.again, ended, self.moving, self.note
         more = self.remarks, self.stray_row
         shown = self._looks, self.scale, self.curve, self.history, self.edit, self.numbers
         filled(QVBoxLayout(self), *said, *more, *shown)

@@ -12,9 +12,11 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QSlider, QWidget
 from superqt.utils import signals_blocked
 
+from ...errors import InputError
 from ...results.timeline import Moment, explained
 from ..document import Document
-from ..widgets import Note, Signal, button, column, row, small
+from ..widgets import Note, Signal, button, column, row, sentence, small
+from ..window_words import as_tip
 from .edits import Edits
 
 _EVERY = 0.2  # s between two updates of the slider
@@ -54,6 +56,7 @@ class HistoryBar(QWidget):
         for signal in (doc.ended, doc.result_changed):
             signal.connect(self.update_moments)
         doc.image.changed.connect(self._image_changed)
+        doc.image.looked.connect(self._show)
         edits.changed.connect(self._show_undo)
         self._show_undo()
         self.update_moments()
@@ -74,6 +77,12 @@ class HistoryBar(QWidget):
             self.slider.setValue(self.slider.maximum())
         self._choose(None)
 
+    @property
+    def _of_other_size(self) -> str:
+        """Why no fit can go on from here, where the image has another voxel size now; else ''."""
+        size = "" if self._doc.running else self._doc.other_size
+        return size and f"this was fitted with {size}, which the image no longer has"
+
     def _image_changed(self) -> None:
         if not self._doc.running:  # the moments are those of another fit
             self._began()
@@ -89,7 +98,12 @@ class HistoryBar(QWidget):
             self.update_moments()
 
     def go_on(self) -> None:
-        """Let the fit go on from the moment shown, or start one there."""
+        """Let the fit go on from the moment shown, or start one there.
+
+        InputError where it would not be one of the image as it is now.
+        """
+        if self._of_other_size:
+            raise InputError(self._of_other_size)
         moment, present = self.chosen, self._doc.present()
         if moment is not None:
             note = f"back to iteration {moment.iteration}"
@@ -137,12 +151,14 @@ class HistoryBar(QWidget):
     def _show(self) -> None:
         looking, running = self.chosen is not None, self._doc.running
         self.live_button.setVisible(looking)
+        self.go_on_button.setEnabled(not self._of_other_size)
         self.go_on_button.setVisible(looking or (not running and bool(self._moments)))
-        self.go_on_button.setToolTip(
+        tip = (
             "The fit goes on from the state shown."
             if running
             else "Start a fit from the state shown, with little blur."
         )
+        self.go_on_button.setToolTip(as_tip(sentence(self._of_other_size) or tip))
         text, shown = "", self.chosen
         if shown is not None:
             text = f"iteration {shown.iteration}"

@@ -160,7 +160,7 @@ class LiveSettings:
 
 
 def _fixed(scene: SceneSettings) -> dict[str, Any]:
-    return {"voxel size": scene.voxel_size, kind_of(ViewEffect).title: scene.effects.view}
+    return {kind_of(ViewEffect).title: scene.effects.view}
 
 
 def _words(name: str, value: Any) -> str:

@@ -92,6 +92,17 @@ class Frame:
         unknown = set(self.units) == {"pixel"} and set(self.voxel_size) == {1.0}
         return "voxels" if unknown else "µm"
 
+    @property
+    def size_in_words(self) -> str:
+        """How large the voxels are."""
+        if self.length == "voxels":
+            return "voxels of unknown size"
+        return "voxels of " + " x ".join(f"{d:.4g}" for d in self.voxel_size) + f" {self.length}"
+
+    def has_size_of(self, layer: Any) -> bool:
+        """Whether the voxels of an image layer are as large as these; as fields show it."""
+        return bool(np.allclose(voxel_size(layer), self.voxel_size, rtol=1e-3, atol=0))
+
     def grid(self, shape: tuple[int, ...]) -> Grid:
         """The grid of an image of a shape."""
         return Grid((shape[0], shape[1], shape[2]), self.voxel_size)
