@@ -243,6 +243,30 @@ def test_a_fit_of_a_region_that_fails_leaves_the_result_where_it_was(seeded, spi
     assert session.capture(seeded.parts)[0].result is not None
 
 
+@pytest.mark.parametrize("what", ["region", "voxel size"])
+def test_a_fit_of_another_region_or_size_leaves_no_old_contours(seeded, with_image, spin, what):
+    def fit():
+        seeded.start()
+        spin(lambda: not seeded.doc.run.running)
+        return seeded.doc.link.contours.layer, seeded.doc.link.surface
+
+    def of_fits():
+        return [layer for layer in with_image.layers if layer.name.startswith("cell: ")]
+
+    seeded.settings.max_iterations.setValue(2)
+    before = fit()
+    assert set(of_fits()) == set(before)
+    if what == "region":
+        seeded.doc.image.take_region(((0, 20), (2, 23), (2, 24)))
+        seeded.doc.cells.choose(before[1])  # the next fit starts from it
+    else:
+        seeded.doc.image.rescale(np.multiply(SIZE, 1.1))
+    after = fit()
+    kept = {before[1]} if what == "region" else set()
+    assert set(of_fits()) == {*after, *kept}
+    assert not set(after) & set(before)
+
+
 def wait_for_grade(widget, spin):
     spin(lambda: not widget.doc.run.running and widget.doc.record.judged is not None)
 

@@ -317,7 +317,8 @@ class Document:
         """What is shown of a record is from now on where, and when, the last fit was started."""
         frame, time = self._place
         if record.link.frame != frame:
-            record.link.close()
+            # What it showed lies elsewhere now; cells of another fit start there, perhaps.
+            record.link.remove(but=self.cells.ticked)
             record.link = self._link_for(record.link.image_layer, frame)
         record.link.take_time(time)
 

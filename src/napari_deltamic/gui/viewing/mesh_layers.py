@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -119,11 +119,11 @@ class MeshLayers:
         """Undo every connection; the layers stay."""
         self.connections.undo()
 
-    def remove(self) -> None:
-        """Close it, and take its layers away."""
+    def remove(self, but: Collection[Any] = ()) -> None:
+        """Close it, and take its layers away, but for some."""
         self.close()
         for layer in self.made():
-            if self.has(layer):
+            if self.has(layer) and layer not in but:
                 self.viewer.layers.remove(layer)
 
     def made(self) -> list[Any]:
