@@ -86,11 +86,87 @@ def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, mo
     found = with_image.layers["found cells"]
     assert found in widget.seeds.cells.ticked
     widget.image.voxel_size._boxes[0].setValue(0.31)  # the same image
-    assert "Found 1 cell" in widget.seeds.note.text()
+    assert "Found 1 cell, with another voxel size." in widget.seeds.note.text()
     other()
     choose(widget, "other")
     assert "Found" not in widget.seeds.note.text()
     assert found not in widget.seeds.cells.ticked
+
+
+def test_cells_found_in_another_image_leave_those_of_the_first_as_they_are(
+    make_widget, with_image, spin, other, monkeypatch
+):
+    def look(read, voxel_size, size):
+        labels = np.zeros(read().shape, np.int32)
+        labels[5:12, 5:15, 5:15] = 1
+        return CellsFound(labels, 2.0, False)
+
+    monkeypatch.setattr(find_cells_button, "look", look)
+    widget = make_widget()
+    cells, find = widget.doc.cells, widget.seeds.find_cells
+    find.click()
+    spin(lambda: "Found 1 cell" in find.message)
+    mine = with_image.layers["found cells"]
+    mine.data[15:18, 15:18, 15:18] = 7  # corrected by hand
+    find.edited()
+    corrected = mine.data.copy()
+    other()
+    choose(widget, "other")
+    assert not mine.visible
+    find.click()
+    spin(lambda: "Found 1 cell of about 2" in find.message)
+    theirs = with_image.layers["other: found cells"]
+    np.testing.assert_array_equal(mine.data, corrected)
+    assert cells.ticked == [theirs]
+    choose(widget, "cell")
+    assert cells.ticked == [mine]
+    assert (mine.visible, theirs.visible) == (True, False)
+    assert find.message == "2 cells."
+    cells.choose(mine, ticked=False)
+    choose(widget, "other")
+    assert cells.ticked == [theirs]
+    assert find.message == "Found 1 cell of about 2 µm."
+    choose(widget, "cell")
+    assert cells.ticked == [], "as the user left it"
+    with_image.layers.remove(theirs)
+    choose(widget, "other")
+    assert (cells.ticked, find.message) == ([], "")
+
+
+def test_how_large_found_cells_are_is_said_for_the_voxel_size_they_were_found_with(
+    make_widget, with_image, spin, monkeypatch
+):
+    labels = np.zeros(with_image.layers["cell"].data.shape, np.int32)
+    labels[5:12, 5:15, 5:15] = 1
+    found = CellsFound(labels, 2.0, False, (SimpleNamespace(size=1.0, cells=2),))
+    monkeypatch.setattr(find_cells_button, "look", lambda *given: found)
+    widget = make_widget()
+    find = widget.seeds.find_cells
+    find.click()
+    spin(lambda: find.message == "Found 1 cell of about 2 µm.")
+    widget.doc.image.rescale(np.multiply(SIZE, (1, 0.5, 0.5)))
+    assert find.message == "Found 1 cell, with another voxel size."
+    assert not find.others
+    widget.doc.image.rescale(SIZE)
+    assert find.message == "Found 1 cell of about 2 µm."
+    assert find.others == [(1.0, 2)]
+
+
+def test_cells_found_in_another_region_come_in_the_place_of_those_before(
+    make_widget, with_image, spin, monkeypatch
+):
+    def look(read, voxel_size, size):
+        return CellsFound(np.ones(read().shape, np.int32), 2.0, False)
+
+    monkeypatch.setattr(find_cells_button, "look", look)
+    widget = make_widget()
+    widget.seeds.find_cells.click()
+    spin(lambda: "found cells" in with_image.layers)
+    widget.doc.image.take_region(((0, 20), (2, 23), (2, 24)))
+    widget.seeds.find_cells.click()
+    spin(lambda: "cell: found cells" in with_image.layers)
+    assert widget.doc.cells.ticked == [with_image.layers["cell: found cells"]]
+    assert not with_image.layers["found cells"].visible
 
 
 def test_why_no_cells_were_looked_for_goes_with_the_next_image(app, viewer, spin, pixels):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from napari.layers import Labels
@@ -30,6 +33,41 @@ _OTHERS = 3  # sizes that are offered besides the one used, at most
 _SAME = 0.1  # by which two sizes differ that are the same
 
 
+@dataclass(eq=False)
+class _Found:
+    """What was found in an image.
+
+    image : a weak reference to its layer.
+    layer : of the labels.
+    count : how many cells there are, in words.
+    size : how large they are, in words; '' once they were edited.
+    others : see ``FindCells.others``.
+    voxel_size : that the image had, um.
+    ticked, visible : whether the labels were, when another image was chosen.
+    """
+
+    image: weakref.ref[Any]
+    layer: Any
+    count: str
+    size: str
+    others: Sequence[tuple[float, int]]
+    voxel_size: tuple[float, ...]
+    ticked: bool = True
+    visible: bool = True
+
+    def of_size(self, voxel_size: tuple[float, ...]) -> bool:
+        """Whether lengths are what they were, as the image has these voxels."""
+        return bool(np.allclose(self.voxel_size, voxel_size, rtol=1e-3, atol=0))
+
+    def told(self, voxel_size: tuple[float, ...]) -> str:
+        """What is said of them."""
+        if not self.size:
+            return f"{self.count}."
+        if not self.of_size(voxel_size):
+            return f"Found {self.count}, with another voxel size."
+        return f"Found {self.count} of about {self.size}."
+
+
 class FindCells(QPushButton):
     """The button, its slider, and what they find; ``told`` says that ``message`` is another."""
 
@@ -42,7 +80,7 @@ class FindCells(QPushButton):
             "<qt>Finds the cells of a membrane image by itself and adds them as a Labels layer, "
             "which can be corrected by clicks, or with napari's brush, eraser and bucket. Takes "
             "seconds to minutes in the background, by the size of the image. Pressing again starts "
-            "over and replaces what was found, your corrections included.</qt>"
+            "over and replaces what was found in this image, your corrections included.</qt>"
         )
         tip = (
             "Diameter of a typical cell, um. Until you move it, it is estimated from the image. "
@@ -54,8 +92,8 @@ class FindCells(QPushButton):
         self.others: Sequence[tuple[float, int]] = ()
         self._sizes: list[tuple[float, int]] = []
         self._moved = self._refused = False
-        self._layer: Any = None
-        self._found_in: Any = None  # the image layer that the message and the labels are of
+        self._found: WeakKeyDictionary[Any, _Found] = WeakKeyDictionary()  # by image layer
+        self._in_use: _Found | None = None  # of the image, or of another channel of its stack
         self.background = doc.background(self._refuse)
         doc.listen(doc.viewer.layers.events.removed, self._layers_changed)
         self.clicked.connect(self.start)
@@ -88,13 +126,9 @@ class FindCells(QPushButton):
         same : it is only another region of the image.
         """
         self.forget()
-        before, now = self._found_in, self._image.layer
-        if before is not None and before is not now:
-            marks = of_one_stack(before, now)
-            self._found_in = before if marks else None
-            self._tell(self.message if marks else "")  # other sizes would be looked for here
-            if self._layer is not None and not marks:
-                self._cells.choose(self._layer, ticked=False)
+        self._use_those_of(self._image.layer)
+        if self._in_use is not None:
+            self._say(self._in_use, voxel_size)
         sides = np.multiply(shape, voxel_size)
         least = 4 * float(np.cbrt(np.prod(voxel_size)))  # less is refused
         if same:
@@ -113,10 +147,12 @@ class FindCells(QPushButton):
 
     def edited(self, event: Any = None) -> None:
         """Labels were edited: cells that touch now differ too, and there may be more or fewer."""
-        layer = self._layer
-        if layer is not None and layer in self._viewer.layers:
-            layer.colormap = label_colormap(layer.data)
-            self._tell(f"{counted(len(voxels_of(layer.data)), 'cell')}.", self.others)
+        found = self._in_use
+        if found is not None and found.layer in self._viewer.layers:
+            labels = found.layer.data
+            found.layer.colormap = label_colormap(labels)
+            found.count, found.size = counted(len(voxels_of(labels)), "cell"), ""
+            self._tell(f"{found.count}.", self.others)
 
     def find_with(self, size: float | str) -> None:
         self._set_size(float(size))
@@ -134,15 +170,52 @@ class FindCells(QPushButton):
         if wanted is None:
             others = [(one.size, one.cells) for one in result.others[:_OTHERS]]
             self._sizes = [(size, 0), *others]
-        layer, self._found_in = self._layer_for(frame, labels), image_layer
+        before = [one.layer for one in self._found.values()]
+        layer = self._layer_for(image_layer, frame, labels)
         others = [(s, k) for s, k in self._sizes if abs(s / size - 1) > _SAME]
-        found = counted(len(voxels_of(labels)), "cell")
-        self._tell(f"Found {found} of about {size:.3g} {frame.length}.", others)
+        count = counted(len(voxels_of(labels)), "cell")
+        of, words = weakref.ref(image_layer), f"{size:.3g} {frame.length}"
+        found = _Found(of, layer, count, words, others, frame.voxel_size)
+        self._found[image_layer] = self._in_use = found
+        self._say(found, frame.voxel_size)
+        for other in before:  # of another region, or channel
+            if other is not layer:
+                self._cells.choose(other, ticked=False)
+                other.visible = False
         self._cells.choose(layer)
 
-    def _layer_for(self, frame: Frame, labels: NDArray[np.int32]) -> Any:
-        """The layer of the last time if it still lies on the image, else a new one."""
-        old, options = self._layer, frame.image_options()
+    def _use_those_of(self, image: Any) -> None:
+        """What was found in an image is ticked and seen again; that of another one is not."""
+        old, new = self._in_use, self._found.get(image)
+        if old is not None and new is None and self._marks(old, image):
+            new = old
+        if old is new:
+            return
+        if old is not None:
+            old.ticked, old.visible = old.layer in self._cells.ticked, bool(old.layer.visible)
+            self._cells.choose(old.layer, ticked=False)
+            old.layer.visible = False
+        self._in_use = new
+        if new is None:
+            self._tell("")
+        else:
+            self._cells.choose(new.layer, new.ticked)
+            new.layer.visible = new.visible
+
+    def _marks(self, found: _Found, image: Any) -> bool:
+        """Whether it was found in another channel of the stack of an image."""
+        there = found.image()
+        return there is not None and there is not image and of_one_stack(there, image)
+
+    def _say(self, found: _Found, voxel_size: tuple[float, ...]) -> None:
+        # Other sizes would be looked for in the image as it is now.
+        same = found.of_size(voxel_size) and not self._marks(found, self._image.layer)
+        self._tell(found.told(voxel_size), found.others if same else ())
+
+    def _layer_for(self, image: Any, frame: Frame, labels: NDArray[np.int32]) -> Any:
+        """The layer of the last time in this image if it still lies on it, else a new one."""
+        known, options = self._found.get(image), frame.image_options()
+        old = None if known is None else known.layer
         if (
             old is not None
             and old in self._viewer.layers
@@ -155,16 +228,19 @@ class FindCells(QPushButton):
             old.colormap = label_colormap(labels)
             old.visible = True
             return old
-        self._layer = Labels(labels, name=NAME, opacity=0.4, **options)
-        self._layer.colormap = label_colormap(labels)
-        self._layer.events.paint.connect(self.edited)
-        self._viewer.add_layer(self._layer)
-        return self._layer
+        name = f"{image.name}: {NAME}" if NAME in self._viewer.layers else NAME
+        layer = Labels(labels, name=name, opacity=0.4, **options)
+        layer.colormap = label_colormap(labels)
+        layer.events.paint.connect(self.edited)
+        self._viewer.add_layer(layer)
+        return layer
 
     def _layers_changed(self, event: Any = None) -> None:
         """What was found is of no interest once its layer is gone."""
-        if event.value is self._layer:
-            self._layer = None
+        for image in [image for image, one in self._found.items() if one.layer is event.value]:
+            del self._found[image]
+        if self._in_use is not None and self._in_use.layer is event.value:
+            self._in_use = None
             self._tell("")
 
     def _refuse(self, reason: str) -> None:
@@ -174,7 +250,8 @@ class FindCells(QPushButton):
     def _tell(self, message: str, others: Sequence[tuple[float, int]] = ()) -> None:
         self._refused = False
         self.message, self.others = message, others
-        self._cells.wait_for(self.background.busy, self._layer)
+        in_use = self._in_use
+        self._cells.wait_for(self.background.busy, None if in_use is None else in_use.layer)
         self.told.emit()
 
     def _note_move(self, value: float) -> None:
