@@ -1,10 +1,12 @@
 """The forms of the window are made of what settings say of themselves."""
 
 import pytest
+from qtpy.QtCore import QLocale, Qt
+from qtpy.QtTest import QTest
 
 from napari_deltamic.common.description import described
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui.fields import Form
+from napari_deltamic.gui.fields import Form, Number, Whole
 from napari_deltamic.gui.settings.optics_panel import ObjectiveFields
 from napari_deltamic.gui.window_words import for_window
 from napari_deltamic.runs.optics_settings import MeasuredOptics, MicroscopeOptics
@@ -70,6 +72,60 @@ def test_numbers_are_typed_as_one_writes_them(make_widget):
         levels.editingFinished.emit()
         with pytest.raises(InputError, match="levels"):
             widget.doc.settings.fit_settings()
+
+
+def typed(box, text):
+    """What a box holds after a text was typed into it, and what was said of that."""
+    said = []
+    box.refused.connect(said.append)
+    box.selectAll()
+    QTest.keyClicks(box.lineEdit(), text)
+    QTest.keyClick(box, Qt.Key.Key_Return)
+    return box.value(), "".join(said)
+
+
+@pytest.mark.parametrize("language", ["C", "de_DE"])
+@pytest.mark.parametrize(
+    ("text", "value", "why"),
+    [
+        ("0,26", 0.26, ""),
+        ("0.26", 0.26, ""),
+        ("2.6e-1", 0.26, ""),
+        ("-1", 0.2, "-1 is not between 0.001 and 1000"),
+        ("1e9", 0.2, "1e9 is not between 0.001 and 1000"),
+        ("290 nm", 0.2, "'290 nm' is no number"),
+        ("1.234,5", 0.2, "'1.234,5' is no number"),
+        ("", 0.2, ""),
+    ],
+)
+def test_what_is_typed_is_taken_as_a_whole_or_not_at_all(make_widget, language, text, value, why):
+    image = make_widget().image
+    box, note = image.voxel_size._boxes[1], image.note.text()
+    box.setLocale(QLocale(language))
+    found, said = typed(box, text)
+    assert found == value
+    assert said.startswith(why)
+    assert bool(said) == bool(why)
+    assert image._doc.image.frame().voxel_size[1] == value
+    assert image.note.text() == (f"{said[0].upper()}{said[1:]}." if why else note)
+    QTest.keyClicks(box.lineEdit(), "0")
+    assert image.note.text() == note
+
+
+def test_other_numbers_are_taken_as_they_are_typed_too(app):
+    number, whole = Number(), Whole()
+    number.setSpecialValueText("automatic")
+    assert typed(number, "0,5")[0] == 0.5
+    value, why = typed(number, "0.000012")
+    assert (value, "more than 4 decimals" in why) == (0.5, True)
+    assert typed(number, "automatic") == (0, "")
+    assert number.text() == "automatic"
+    whole.setRange(0, 5000)
+    for text, value in (("12", 12), ("1e3", 1000)):
+        assert typed(whole, text) == (value, "")
+    for text in ("2.5", "1,000", "many", "6000"):
+        value, why = typed(whole, text)
+        assert (value, text in why) == (1000, True)
 
 
 def test_a_number_that_may_be_open_is_open_at_zero(app):

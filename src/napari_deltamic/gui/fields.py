@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any
 
+from qtpy.QtGui import QValidator
 from qtpy.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -13,6 +15,7 @@ from qtpy.QtWidgets import (
     QFormLayout,
     QLineEdit,
     QSpinBox,
+    QToolTip,
     QWidget,
 )
 from superqt.utils import signals_blocked
@@ -21,14 +24,18 @@ from ..common.description import Described, described
 from ..common.triple import Triple, triple
 from .widgets import Signal, be_narrow, row
 from .window_words import as_tip, for_window
+from .work import one_shot
 
 _MOST = 1_000_000  # of a whole number without a limit
+_WRITTEN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
+_CUT = 0.01  # of a number, that it may lose as the field shows no more decimals
 
 
 class TripleField(QWidget):
     """Three positive numbers (µm), Z, Y, X; ``edited`` brings them, and only from the user."""
 
     edited = Signal(tuple)
+    refused = Signal(str)  # see ``Number``
 
     def __init__(self, tooltip: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -49,6 +56,7 @@ class TripleField(QWidget):
                 "QDoubleSpinBox::up-arrow, QDoubleSpinBox::down-arrow { image: none; width: 0; }"
             )
             box.valueChanged.connect(self._emit)
+            box.refused.connect(self.refused)
             self._boxes.append(box)
         row(*self._boxes, of=self, spacing=3)
 
@@ -65,11 +73,96 @@ class TripleField(QWidget):
         self.edited.emit(self.value())
 
 
-class Number(QDoubleSpinBox):
-    """A number, 0 or more unless signed, without zeros at its end.
+class _AsTyped:
+    """For a spin box: what is typed is taken as a whole, or not at all, which is told.
+
+    Qt's swallow each key that suits no number: 0,26 would become 26, and 290 nm 290.
+    """
+
+    def be_told(self: Any) -> None:
+        """Called once it is made."""
+        self._why = ""
+        self._soon = one_shot(self, self._show_why)
+        self.lineEdit().textEdited.connect(self._retyped)
+
+    def _retyped(self: Any, text: str) -> None:
+        if self._why:
+            self._why = ""
+            QToolTip.hideText()
+            self.refused.emit("")
+
+    def validate(self: Any, text: str | None, place: int) -> Any:
+        """Called by Qt, for each key too."""
+        known = QValidator.State.Acceptable
+        return (QValidator.State.Intermediate if self._trouble(text) else known), text, place
+
+    def fixup(self: Any, text: str | None) -> str:
+        """Called by Qt where a text that is no number is to be taken: the old number stays."""
+        if self._bare(text):
+            self._why = f"{self._trouble(text)}: {self.textFromValue(self.value())} stays"
+            self.refused.emit(self._why)
+            self._soon.start()  # not before Qt has hidden what is shown now
+        return text or ""
+
+    def valueFromText(self: Any, text: str | None) -> Any:
+        """Called by Qt, for a text that is a number."""
+        bare = self._bare(text)
+        if bare and bare == self.specialValueText():
+            return self.minimum()
+        return self.value() if self._trouble(text) else self.read(bare)
+
+    def _trouble(self: Any, text: str | None) -> str:
+        """Why a text cannot be taken; '' where it can."""
+        bare = self._bare(text)
+        if bare and bare == self.specialValueText():
+            return ""
+        value = self.read(bare)
+        if value is None:
+            return f"'{bare}' is no {self.kind}"
+        low, high = self.minimum(), self.maximum()
+        if not low <= value <= high:
+            return f"{bare} is not between {low:.15g} and {high:.15g}"
+        if abs(self.shown(value) - value) > _CUT * abs(value):
+            return f"{bare} has more than {self.decimals()} decimals"
+        return ""
+
+    def _bare(self: Any, text: str | None) -> str:
+        return (text or "").removeprefix(self.prefix()).removesuffix(self.suffix()).strip()
+
+    def _show_why(self: Any) -> None:
+        corner = self.mapToGlobal(self.rect().bottomLeft())
+        QToolTip.showText(corner, for_window(self._why), self)
+
+
+class Whole(_AsTyped, QSpinBox):
+    """A whole number."""
+
+    refused = Signal(str)  # why what was typed was not taken; '' as soon as more is typed
+    kind = "whole number"
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setKeyboardTracking(False)
+        self.be_told()
+
+    def read(self, text: str) -> int | None:
+        """A text as a number, if it is one."""
+        value = None if any(mark in text for mark in ".,") else written(text)
+        return int(value) if value is not None and value == int(value) else None
+
+    def shown(self, value: int) -> int:
+        """What of a value is shown."""
+        return value
+
+
+class Number(_AsTyped, QDoubleSpinBox):
+    """A number, 0 or more unless signed, without zeros at its end; a comma may be its point.
 
     It is wide open: a value in another unit is to be named, not cut.
     """
+
+    refused = Signal(str)  # why what was typed was not taken; '' as soon as more is typed
+    kind = "number"
 
     def __init__(self, parent: QWidget | None = None, *, signed: bool = False) -> None:
         super().__init__(parent)
@@ -77,6 +170,15 @@ class Number(QDoubleSpinBox):
         self.setDecimals(4)
         self.setKeyboardTracking(False)
         self.setStyleSheet("QDoubleSpinBox { min-width: 60px; }")
+        self.be_told()
+
+    def read(self, text: str) -> float | None:
+        """A text as a number, if it is one."""
+        return written(text)
+
+    def shown(self, value: float) -> float:
+        """What of a value is shown."""
+        return round(value, self.decimals())
 
     def textFromValue(self, value: float) -> str:
         text = super().textFromValue(value)
@@ -152,9 +254,8 @@ def _field(found: Described, parent: QWidget) -> tuple[Any, Any]:
         switch.setChecked(bool(found.default))
         return switch, switch.toggled
     if found.kind == "whole":
-        whole = QSpinBox(parent)
+        whole = Whole(parent)
         whole.setRange(int(found.low or 0), int(found.high or _MOST))
-        whole.setKeyboardTracking(False)
         return whole, whole.valueChanged
     if found.kind == "number":
         number = Number(parent, signed=(found.low or 0) < 0)
@@ -207,6 +308,12 @@ def _show(field: Any, value: Any) -> None:
         field.setValue(value)
     elif field.specialValueText():
         field.setValue(0)
+
+
+def written(text: str) -> float | None:
+    """A number as it was typed, with a point or a comma; None for anything else."""
+    plain = text.replace(",", ".").replace("\u2212", "-")
+    return float(plain) if _WRITTEN.fullmatch(plain) else None
 
 
 def number_or_text(text: str) -> str | float:

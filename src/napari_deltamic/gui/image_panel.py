@@ -47,6 +47,7 @@ class ImagePanel(QGroupBox):
         layout.addRow("voxel", row((self.size_line, 1), self.edit_size))
         layout.addRow(self.voxel_size)
         layout.addRow(self.note)
+        self._told = "", False  # what is said of the image, and whether the user is needed
         self._shown: Any = None  # a weak reference to the layer that is shown
         self._choices: list[Choice] = []
         self._of_channels: Any = None  # the layer whose channels are offered
@@ -55,6 +56,7 @@ class ImagePanel(QGroupBox):
         self.channels.activated.connect(self._take_channel)
         self.region.activated.connect(self._take_region)
         self.voxel_size.edited.connect(doc.image.rescale)
+        self.voxel_size.refused.connect(self._refuse_size)
         self.edit_size.toggled.connect(self.voxel_size.setVisible)
         self.voxel_size.hide()
         self._show()
@@ -91,6 +93,12 @@ class ImagePanel(QGroupBox):
 
     def _tell(self, text: str, *, needed: bool = False) -> None:
         """Say something; in the colour of warnings where the user is needed."""
+        self._told = text, needed
+        self.note.say(text, "fair" if needed else "")
+
+    def _refuse_size(self, why: str) -> None:
+        """What was typed is no voxel size; '' as soon as more is typed."""
+        text, needed = (sentence(why), True) if why else self._told
         self.note.say(text, "fair" if needed else "")
 
     def _described(self, layer: Any, unknown: bool) -> str:
