@@ -36,7 +36,7 @@ def rectangle(viewer, low, high):
 
 def test_a_rectangle_is_a_region_over_all_slices(doc, with_image, pixels):
     rectangle(with_image, (4, 6), (12, 20))
-    doc.image.take_region(doc.image.drawn_box())
+    doc.image.follow_drawn()
     assert doc.image.box == ((0, SHAPE[0]), (4, 13), (6, 21))
     np.testing.assert_array_equal(doc.image.stack(), pixels[:, 4:13, 6:21])
     assert doc.image.shape() == (SHAPE[0], 9, 15)
@@ -48,11 +48,37 @@ def test_a_rectangle_is_a_region_over_all_slices(doc, with_image, pixels):
 
 def test_a_region_needs_a_rectangle_and_a_few_voxels(doc, with_image):
     with pytest.raises(InputError, match="draw a rectangle"):
-        doc.image.drawn_box()
+        doc.image.follow_drawn()
     rectangle(with_image, (4, 6), (5, 20))
     with pytest.raises(InputError, match="voxels wide"):
-        doc.image.take_region(doc.image.drawn_box())
+        doc.image.follow_drawn()
     assert doc.image.box is None
+
+
+def test_the_region_follows_its_rectangle(doc, with_image):
+    layer, said = rectangle(with_image, (4, 6), (12, 20)), []
+    doc.image.stayed.connect(said.append)
+    doc.image.follow_drawn()
+    assert doc.image.box == ((0, SHAPE[0]), (4, 13), (6, 21))
+    moved = [np.add(layer.data[0], (0, 3, -2))]
+    layer.data = moved
+    assert doc.image.box == ((0, SHAPE[0]), (7, 16), (4, 19))
+    layer.data = [np.add(moved[0], (0, 500, 0))]
+    assert doc.image.box == ((0, SHAPE[0]), (7, 16), (4, 19))
+    assert said == ["the region must be 4 voxels wide along each axis: it stays where it was"]
+    layer.data = moved
+    doc.image.rescale(np.multiply(SIZE, 2))
+    np.testing.assert_allclose(layer.scale, np.multiply(SIZE, 2))  # it lies on the same voxels
+    layer.data = [np.add(moved[0], (0, 1, 0))]
+    assert doc.image.box == ((0, SHAPE[0]), (8, 17), (4, 19))
+    doc.image.take_region(None)
+    layer.data = moved
+    assert doc.image.box is None, "all of the image is wanted"
+    doc.image.follow_drawn()
+    layer.data = []
+    with_image.layers.remove(layer)
+    assert doc.image.box == ((0, SHAPE[0]), (7, 16), (4, 19))
+    assert len(said) == 1
 
 
 def test_what_is_chosen_of_a_fit_needs_no_panel(doc, with_image):

@@ -32,7 +32,7 @@ class ImagePanel(QGroupBox):
         tip = (
             "Which part of the image is fitted. To leave out bright objects that are not your "
             "cells, draw a rectangle around the cells in a Shapes layer and choose it here. It "
-            "applies to all slices."
+            "applies to all slices; where you move the rectangle, the region follows."
         )
         self.region = narrow_box(self, "region", tip, (WHOLE, BOX))
         self.voxel_size = TripleField("Voxel size, um. It is the scale of the image layer.", self)
@@ -53,6 +53,7 @@ class ImagePanel(QGroupBox):
         self._of_channels: Any = None  # the layer whose channels are offered
         doc.image.looked.connect(self._show)
         doc.image.changed.connect(self._show)
+        doc.image.stayed.connect(lambda why: self._tell(sentence(why), needed=True))
         self.channels.activated.connect(self._take_channel)
         self.region.activated.connect(self._take_region)
         self.voxel_size.edited.connect(doc.image.rescale)
@@ -132,9 +133,11 @@ class ImagePanel(QGroupBox):
             self._image.take_channel(self._of_channels, self._choices[index - 1])
 
     def _take_region(self, index: int) -> None:
-        drawn = self.region.currentText() == BOX
         try:
-            self._image.take_region(self._image.drawn_box() if drawn else None)
+            if self.region.currentText() == BOX:
+                self._image.follow_drawn()
+            else:
+                self._image.take_region(None)
         except InputError as error:
             self._show()
             self._tell(sentence(str(error)), needed=True)

@@ -53,6 +53,7 @@ class ImageSource(LayerChoice):
     """Choice of an image layer; ``changed`` says that it, its voxel size or region is another."""
 
     looked = Signal()  # the layers are others: channels may be, and what is missing
+    stayed = Signal(str)  # the region did not follow its rectangle, and why
 
     def __init__(self, viewer: Any) -> None:
         self.box: Box | None = None  # the region of the layer that is fitted; None: all of it
@@ -60,7 +61,7 @@ class ImageSource(LayerChoice):
         self._asked: set[tuple[str, str | None]] = set()
         # Layers that were made of a channel, and what of.
         self._taken: WeakKeyDictionary[Any, tuple[weakref.ref[Any], Choice]] = WeakKeyDictionary()
-        self._of_layer = Connections()
+        self._of_layer, self._of_region = Connections(), Connections()
         super().__init__(viewer, is_one_channel)
         events = viewer.layers.events
         self._connections.connect(events.inserted, self._place_meshes)
@@ -169,21 +170,42 @@ class ImageSource(LayerChoice):
 
     def take_region(self, box: Box | None) -> None:
         """Fit a region of the layer; None: all of it. InputError if it is too small."""
-        if box is not None and min(b - a for a, b in box) < _SMALLEST:
-            raise InputError(f"the region must be {_SMALLEST} voxels wide along each axis")
+        wanted = None if box is None else _large_enough(box)
+        self._of_region.undo()
+        self._take_box(wanted)
+
+    def _take_box(self, box: Box | None) -> None:
         if box != self.box:
             self.box = box
             self.changed.emit()
 
-    def drawn_box(self) -> Box:
-        """The box of the rectangle that is selected or was drawn last, over all slices across it.
+    def follow_drawn(self) -> None:
+        """Fit the region of the rectangle drawn, also where that is moved, or drawn anew, later.
 
-        InputError where there is none.
+        InputError where there is none, or it is too small.
         """
         shapes = [x for x in self._viewer.layers if isinstance(x, Shapes) and len(x.data)]
         layer = chosen_of(self._viewer, shapes)
         if layer is None:
             raise InputError("draw a rectangle around the cells in a Shapes layer first")
+        self.take_region(self._box_of(layer))
+        self._of_region.connect(layer.events.data, self._redrawn)
+
+    def _redrawn(self, event: Any) -> None:
+        """A rectangle was moved, or another one drawn; where it was removed, the region stays."""
+        action = getattr(event, "action", "changed")
+        moved = str(getattr(action, "value", action)) in ("added", "changed")
+        if not moved or not len(event.source.data):
+            return  # or it is only being moved
+        try:
+            self._take_box(_large_enough(self._box_of(event.source)))
+        except InputError as error:
+            self.stayed.emit(f"{error}: it stays where it was")
+        else:
+            self.looked.emit()  # why it stayed holds no more
+
+    def _box_of(self, layer: Any) -> Box:
+        """Of the rectangle that is selected or was drawn last, over all slices across it."""
         chosen = sorted(layer.selected_data) or [len(layer.data) - 1]
         corners = np.concatenate([np.asarray(layer.data[k], float) for k in chosen])
         dims = len(layer.scale)
@@ -214,12 +236,14 @@ class ImageSource(LayerChoice):
         """Listen to the viewer no more, and let its layers go."""
         super().close_links()
         self._of_layer.undo()
+        self._of_region.undo()
 
     # ---- what follows from it -----------------------------------------------------------------
 
     def _layer_changed(self) -> None:
         layer, self.box = self.layer, None
         self._of_layer.undo()
+        self._of_region.undo()
         if layer is not None:
             self._of_layer.connect(layer.events.scale, self._look)
             self._take_size_of_file(layer)
@@ -286,7 +310,7 @@ class ImageSource(LayerChoice):
             return False
         if isinstance(other, Clicks):
             return True
-        known = isinstance(other, Points) or (
+        known = isinstance(other, Points | Shapes) or (
             isinstance(other, Image | Labels) and shape_of(other) == shape_of(layer)
         )
         return known and all(
@@ -359,6 +383,13 @@ class SecondSource(LayerChoice):
         self.shown.emit()
         if not self._quiet:
             self.edited.emit()
+
+
+def _large_enough(box: Box) -> Box:
+    """A region that can be fitted. InputError if it is too small."""
+    if min(b - a for a, b in box) < _SMALLEST:
+        raise InputError(f"the region must be {_SMALLEST} voxels wide along each axis")
+    return box
 
 
 def _unmoved(layer: Any) -> bool:
