@@ -13,6 +13,7 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.gui import small_widgets
 from napari_deltamic.gui.small_widgets import measure_surface, measure_widget
 from napari_deltamic.gui.viewing.frame import OWN
+from napari_deltamic.gui.widgets import Note
 
 UM = {"units": ("um",) * 3}
 
@@ -68,7 +69,10 @@ def test_mistakes_are_told_in_a_sentence(app, surface, warned, tmp_path):
     widget = measure_widget()
     widget.call_button.changed.emit(True)
     assert warned == ["there is no Surface layer to measure"]
+    said = widget.native.findChild(Note)
+    assert said.text() == "There is no Surface layer to measure."
     widget.surface.choices = [surface]
+    assert said.text() == ""
     widget.call_button.changed.emit(True)
     assert warned[1:] == ["choose a folder for the tables, or an image for a layer with them"]
     (tmp_path / "cells.csv").touch()

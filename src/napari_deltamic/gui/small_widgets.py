@@ -28,6 +28,7 @@ from .cell_source import mesh_of_surface
 from .viewing.cell_layers import labels_options
 from .viewing.colours import surface_look, vertex_values
 from .viewing.frame import OWN, TRUTH, WORLD, Frame, shape_of
+from .widgets import Note, sentence
 from .window_words import attempt, for_window, words_of
 
 
@@ -81,14 +82,25 @@ def _tell(error: Exception) -> None:
 
 
 def _press_in_words(widget: Any) -> None:
-    """A mistake is told in a sentence: magicgui's button would show where in the code it arose."""
+    """A mistake is told in a sentence: magicgui's button would show where in the code it arose.
+
+    It stands below the button until something is changed: napari's own message soon goes.
+    """
+    said = Note(widget.native, "fair")
+    widget.native.layout().addWidget(said)
+
+    def tell(reason: str) -> None:
+        said.say(sentence(reason))
+        show_warning(for_window(reason))
 
     def press() -> None:
         pressed.enabled = False  # as magicgui does
-        attempt(widget, lambda reason: show_warning(for_window(reason)))
+        said.say("")
+        attempt(widget, tell)
         pressed.enabled = True
 
     pressed = widget.call_button
+    widget.changed.connect(lambda: said.say(""))
     pressed.changed.disconnect()
     pressed.changed.connect(press)
 
