@@ -379,12 +379,12 @@ def test_a_result_is_not_graded_for_another_voxel_size(
     assert "0.3 x 0.2 x 0.2 µm" in go_on.toolTip()
     with pytest.raises(InputError, match="no longer has"):
         running.history.go_on()
-    assert "with voxels of 0.3 x 0.2 x 0.2 µm" in results.other_size.text()
+    assert "with voxels of 0.3 x 0.2 x 0.2 µm" in results.valid_for.text()
     results.save_table(str(tmp_path / "cells.csv"))
     assert "fitted with voxels of 0.3 x 0.2 x 0.2" in told[-1]
     resize(SIZE)
     assert running.other_size.isHidden()
-    assert results.other_size.isHidden()
+    assert results.valid_for.isHidden()
     assert running.grade.text() == grade
     assert go_on.isEnabled()
     assert go_on.toolTip() == "<qt>Start a fit from the state shown, with little blur.</qt>"
@@ -421,6 +421,43 @@ def test_what_is_found_after_the_image_went_is_not_shown(seeded, with_image, spi
     work, take = asked[-1]
     take(work())
     assert len(with_image.layers) == 0
+
+
+@pytest.mark.parametrize("fitted_before", [False, True])
+def test_a_fit_whose_image_goes_can_be_saved_though_another_one_is_open(
+    begun, with_image, spin, other, told, tmp_path, fitted_before
+):
+    doc, running, results = begun.doc, begun.running, begun.results
+    path = tmp_path / "cells.csv"
+    other()
+    if fitted_before:
+        begun.stop()
+        spin(done(begun))
+        choose(begun, "other")
+        begun.start()
+        spin(lambda: doc.begun and len(doc.run.history.loss) > 3)
+    name, left = ("other", "cell") if fitted_before else ("cell", "other")
+    record = doc.record
+    with_image.layers.remove(name)
+    spin(done(begun))
+    assert "its result can still be saved" in told[-1]
+    assert doc.image.layer.name == left
+    assert doc.result is record
+    assert "goes on" not in running.note.text()
+    assert running.rescued.text().startswith(f"Of '{name}', which was removed: export")
+    assert running.history.isHidden()
+    assert results.valid_for.text() == f"Of '{name}', which was removed."
+    results.save_table(str(path))
+    assert path.exists()
+    saved, remark = session.capture(begun.parts)
+    assert (saved.result is not None) == fitted_before
+    assert f"'{name}'" in remark or fitted_before
+    running.let_go.click()
+    assert running.rescued_row.isHidden()
+    assert record not in doc.records.values()
+    assert (doc.result is not None) == fitted_before
+    assert results.isHidden() != fitted_before
+    assert f"{name}: contours" not in with_image.layers
 
 
 @pytest.mark.usefixtures("judged")

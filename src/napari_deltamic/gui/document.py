@@ -89,19 +89,23 @@ class Document:
 
     @property
     def record(self) -> Record | None:
-        """That of the fit that runs, else that of the image chosen.
-
-        Without an image, there is only that of a fit which ended for the want of it.
-        """
+        """That of the fit that runs, else one that is rescued, else that of the image chosen."""
         if self.running and self._of_run is not None:
             return self._of_run
-        layer = self.image.layer
-        return self._rescued if layer is None else self.records.get(layer)
+        return self.rescued or self.records.get(self.image.layer)
+
+    @property
+    def rescued(self) -> Record | None:
+        """What a fit had reached when its image was removed, until it is let go."""
+        record = self._rescued
+        if record is None or self.running or record.link.image_layer in self.viewer.layers:
+            return None
+        return record if record.state is not None or self.image.layer is None else None
 
     @property
     def in_sight(self) -> bool:
         """Whether there is an image to look at what is known of it, or a fit that runs."""
-        return self.image.layer is not None or self.running
+        return self.running or (self.image.layer is not None and self.rescued is None)
 
     @property
     def result(self) -> Record | None:
@@ -134,6 +138,17 @@ class Document:
         known = link.image_layer in self.viewer.layers
         same = not known or link.frame.has_size_of(link.image_layer)
         return "" if same else link.frame.size_in_words
+
+    def result_of_image(self) -> tuple[Record, Present] | None:
+        """The result of the image chosen, or the newest state of its fit, if there is one."""
+        record = self.records.get(self.image.layer)
+        if record is None:
+            return None
+        if record is self.record:
+            present = self.present()
+        else:
+            present = None if record.state is None else Present(*record.of_fit(), False)
+        return None if present is None else (record, present)
 
     def present(self) -> Present | None:
         """What there is to change: the newest state of the fit, or its result."""
@@ -200,8 +215,8 @@ class Document:
     def start(self, run: Any, record: Record, *, fresh: bool) -> None:
         """Start a fit of the image of a record; InputError where something else runs."""
         record.words, record.judged = ("", ""), None
+        self._forget_rescued()
         self.run, self._of_run, self.begun, self._fresh = run, record, False, fresh
-        self._rescued = None
         run.render = self.view != "image"
         self.work.start(run)
         self.said.emit("preparing the seeds ..." if fresh else "starting ...")
@@ -223,6 +238,7 @@ class Document:
 
         Where it yields, the window may do what waits.
         """
+        self.let_go_rescued()
         record = self.record_for(self.image.frame())
         record.timeline, record.words = Timeline(result.moments), (result.verdict, result.message)
         self.meshes_came.emit()
@@ -233,6 +249,20 @@ class Document:
         for tell in (self.result_changed.emit, partial(self.began.emit, True), self.ended.emit):
             tell()
             yield
+
+    def let_go_rescued(self) -> None:
+        """What was rescued is wanted no more: what is known of the image chosen is shown again."""
+        if self._forget_rescued():
+            self.image.changed.emit()
+
+    def _forget_rescued(self) -> bool:
+        """Let it go; whether there was anything."""
+        record, self._rescued = self._rescued, None
+        if record is None or record.link.image_layer in self.viewer.layers:
+            return False
+        record.link.remove(but=self.cells.ticked)
+        self.records.pop(record.link.image_layer, None)
+        return True
 
     def look_back(self, earlier: bool) -> None:
         """Whether an earlier moment of a fit is looked at."""

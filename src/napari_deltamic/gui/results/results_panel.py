@@ -56,10 +56,10 @@ class ResultsPanel(QGroupBox):
         tip = "Save what was found, or add the cells as labels."
         self.export = button("Export", tip, None, self)
         self.export.setMenu(self._export_menu())
-        self.other_size = Note(self, "fair")
+        self.valid_for = Note(self, "fair")  # where that is not the image as it is now
         self.scale, self.why = Note(self), Note(self)  # of the colours; of the cell chosen
         buttons = row(self.colour, self.columns, self.export)
-        filled(QVBoxLayout(self), self.other_size, self.table, self.why, buttons, self.scale)
+        filled(QVBoxLayout(self), self.valid_for, self.table, self.why, buttons, self.scale)
         self.table.chosen.connect(self._chosen)
         self.colour.currentIndexChanged.connect(self._colour_cells)
         for signal in (doc.result_changed, doc.judged, doc.image.changed, doc.ended):
@@ -132,8 +132,10 @@ class ResultsPanel(QGroupBox):
     def _show(self) -> None:
         """The cells of the result; nothing where there is none."""
         record, size = self._doc.result, self._doc.other_size
-        text = f"Fitted with {size}: table and exports are for that size."
-        self.other_size.say(text if size else "")
+        text = f"Fitted with {size}: table and exports are for that size." if size else ""
+        if self._doc.rescued is not None:
+            text = f"Of '{self._doc.rescued.link.image_layer.name}', which was removed."
+        self.valid_for.say(text)
         self.setVisible(record is not None)
         self.setEnabled(record is not None)
         if record is None or record.state is None:

@@ -56,7 +56,7 @@ def capture(parts: Parts) -> tuple[Session, str]:
             "view": {"ndisplay": dims.ndisplay, "point": point[-3:], "time": point[:-3]},
             "accuracy": doc.settings.accuracy,
             "psf_is_open": doc.settings.psf_is_open,
-            "result_time": doc.link.time if result and doc.link else [],
+            "result_time": doc.records[doc.image.layer].link.time if result else [],
         },
         second=_second(doc, frame, result[1] if result else None),
         tracks=tracks,
@@ -150,11 +150,14 @@ def _layers(session: Session) -> tuple[Any, list[Any], Any]:
 
 def _result(doc: Document, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | None, str]:
     """The newest state of the fit of the image chosen, with its job; else why there is none."""
-    record, run, present = doc.record, doc.run, doc.present()
-    if present is None or record is None:
+    run, found = doc.run, doc.result_of_image()
+    if found is None:
         others = [other for other in doc.records.values() if other.state is not None]
+        if doc.running and doc.present() is not None and doc.record is not None:
+            others.append(doc.record)
         return None, _of_another(others[-1]) if others else ""
-    if record.link.image_layer is not doc.image.layer or record.link.frame != frame:
+    record, present = found
+    if record.link.frame != frame:
         return None, _of_another(record)
     history, seconds = record.history, record.seconds
     verdict, message = record.words
@@ -173,7 +176,7 @@ def _result(doc: Document, frame: Frame) -> tuple[tuple[SavedResult, FitInput] |
         verdict=verdict,
         message=message,
         start=job.mesh,
-        moments=doc.timeline.moments,
+        moments=record.timeline.moments,
         counted=job.counted,
     )
     return (saved, job), ""

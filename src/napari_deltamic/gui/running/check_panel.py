@@ -49,6 +49,9 @@ class CheckPanel(QGroupBox):
         tip = "Move the slider to the time of the result."
         self.away_go = button("Go there", tip, self._go_to_time, self)
         self.other_size = Note(self, "fair", style="font-weight: bold;")
+        self.rescued, self.rescued_row = Note(self, "fair"), QWidget(self)
+        tip = "Show what is known of the image chosen. This is lost then."
+        self.let_go = button("Let it go", tip, doc.let_go_rescued, self)
         self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
         tip = "Go to where the image differs most from the rendered one."
         self.worst = button("Worst place", tip, self.go_to_worst, self)
@@ -154,6 +157,14 @@ class CheckPanel(QGroupBox):
     def _show(self) -> None:
         """All that is known of the fit that runs, or else of the image chosen."""
         doc, record = self._doc, self._doc.record
+        lost = doc.rescued
+        name = "" if lost is None else lost.link.image_layer.name
+        self.rescued.say(
+            f"Of '{name}', which was removed: export what you need; the next fit takes its place."
+            if name
+            else ""
+        )
+        self.rescued_row.setVisible(lost is not None and doc.image.layer is not None)
         if self._note_of is not doc.image.layer and not doc.running:
             self.note.say("")
         ended = None if doc.running else record
@@ -275,12 +286,14 @@ class CheckPanel(QGroupBox):
         self._looks = QWidget(self)
         row(QLabel("show", self), (self.view, 2), (self.slice, 1), of=self._looks)
         row((self.away, 1), self.away_go, of=self.away_row)
+        row((self.rescued, 1), self.let_go, of=self.rescued_row)
         row((self.stray, 1), self.stray_go, self.stray_add, of=self.stray_row)
         ended = row((self.verdict, 1), self.worst)
-        said = self.away_row, self.other_size, self.grade, self.again, ended, self.moving, self.note
+        whose = self.rescued_row, self.away_row, self.other_size
+        said = self.grade, self.again, ended, self.moving, self.note
         more = self.remarks, self.stray_row
         shown = self._looks, self.scale, self.curve, self.history, self.edit, self.numbers
-        filled(QVBoxLayout(self), *said, *more, *shown)
+        filled(QVBoxLayout(self), *whose, *said, *more, *shown)
 
 
 class LiveNumbers(Fold):

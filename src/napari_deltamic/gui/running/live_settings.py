@@ -78,7 +78,7 @@ class LiveSettings:
             link, chosen = self._doc.link, self._doc.image.layer
             if link is None or chosen is link.image_layer:
                 self._attempt(self._tell_fixed, "the fit goes on with the image it has")
-            elif chosen is not None:
+            elif chosen is not None and link.image_layer in self._doc.viewer.layers:
                 text = f"the fit goes on with '{link.image_layer.name}'"
                 self._doc.noted.emit(f"{text}; the next run takes '{chosen.name}'")
 

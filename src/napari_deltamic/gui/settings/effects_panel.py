@@ -92,7 +92,8 @@ class EffectsPanel(QWidget):
         doc, record = self._doc, self._doc.result
         frame, scene = doc.image.frame(), doc.settings.scene_settings()
         link = None if record is None else record.link
-        if record is None or link is None or link.frame != frame or not link.at_time:
+        here = link is not None and link.image_layer is doc.image.layer and link.frame == frame
+        if record is None or link is None or not here or not link.at_time:
             return doc.prepared()[0], None
         state, job = record.of_fit()
         # Only the end of a fit with this PSF and these effects needs no other one.
