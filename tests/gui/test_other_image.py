@@ -57,6 +57,24 @@ def test_the_result_goes_and_comes_back_with_its_image(seeded, spin, other):
     assert set(before) - set(of_a_fit(seeded)) <= {seeded.settings.pace}
 
 
+def test_the_image_that_is_chosen_is_seen(make_widget, with_image, pixels, other):
+    widget, mine = make_widget(), with_image.layers["cell"]
+    above, added = other(), with_image.add_image(pixels, name="added", blending="additive")
+    labels = with_image.add_labels(np.zeros(pixels.shape, int))
+    choose(widget, "other")
+    mine.visible = False
+    choose(widget, "cell")
+    assert [x.visible for x in (mine, above, added, labels)] == [True, False, True, True]
+    choose(widget, "other")
+    assert [x.visible for x in (mine, above)] == [True, True]
+    above.visible = False
+    with_image.add_image(pixels, name="new")
+    assert not above.visible, "only who chooses an image wants to see it"
+    widget.image.chooser.activated.emit(widget.image.chooser.currentIndex())
+    assert above.visible
+    assert not with_image.layers["new"].visible
+
+
 def test_a_fit_that_fails_does_not_take_over_the_last_result(seeded, with_image, spin, other, told):
     fitted(seeded, spin)
     other()

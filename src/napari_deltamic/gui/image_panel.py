@@ -54,6 +54,9 @@ class ImagePanel(QGroupBox):
         doc.image.looked.connect(self._show)
         doc.image.changed.connect(self._show)
         doc.image.stayed.connect(lambda why: self._tell(sentence(why), needed=True))
+        # Also where it was chosen before, and another one has come over it since.
+        for chosen in (self.chooser.currentIndexChanged, self.chooser.activated):
+            chosen.connect(lambda row: doc.image.show())
         self.channels.activated.connect(self._take_channel)
         self.region.activated.connect(self._take_region)
         self.voxel_size.edited.connect(doc.image.rescale)

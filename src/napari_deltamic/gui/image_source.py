@@ -47,6 +47,7 @@ from .viewing.listening import Connections
 from .viewing.own_layers import Points as Clicks
 
 _SMALLEST = 4  # voxels along each side of a region
+_COVERING = ("opaque", "translucent", "translucent_no_depth")  # ways of napari to draw an image
 
 
 class ImageSource(LayerChoice):
@@ -178,6 +179,16 @@ class ImageSource(LayerChoice):
         if box != self.box:
             self.box = box
             self.changed.emit()
+
+    def show(self) -> None:
+        """Let the layer be seen: the other images that would cover it are hidden."""
+        layer, layers = self.layer, list(self._viewer.layers)
+        if layer not in layers:
+            return
+        layer.visible = True
+        for other in layers[layers.index(layer) + 1 :]:
+            if other in self.layers and str(other.blending) in _COVERING:
+                other.visible = False
 
     def follow_drawn(self) -> None:
         """Fit the region of the rectangle drawn, also where that is moved, or drawn anew, later.
