@@ -27,11 +27,11 @@ class CommandCopy:
         self._doc = doc
         self._parent = parent
         # Image files are compared, and meshes of seeds are computed: it may take seconds.
-        self.background = doc.background(doc.refuse)
+        self.background = doc.background(self._failed)
         tip = "The command that repeats this run without a window."
-        self.copy_action = action("Copy as command", tip, partial(doc.guarded, self.copy), parent)
+        self.copy_action = action("Copy as command", tip, partial(doc.attempt, self.copy), parent)
         tip = "Writes batch.toml with these settings beside the stacks, and copies its command."
-        slot = partial(doc.guarded, self._run_folder)
+        slot = partial(doc.attempt, self._run_folder)
         self.folder_action = action("Run on a folder...", tip, slot, parent)
 
     def copy(self) -> None:
@@ -52,6 +52,11 @@ class CommandCopy:
         folder = QFileDialog.getExistingDirectory(self._parent, "Folder of stacks")
         if folder:
             self._done(write_batch(folder, settings))
+
+    def _failed(self, reason: str) -> None:
+        """It has nothing to do with the fit that is shown."""
+        self._doc.noted.emit("")
+        self._doc.warned.emit(reason)
 
     def _checked(self, chosen: Chosen) -> None:
         folder = ""
