@@ -22,6 +22,10 @@ class NoCellsFound(InputError):
     """No cell is found in an image: another size, or seeds, may help."""
 
 
+class Stopped(Exception):
+    """Whoever asked for something long wants it no more."""
+
+
 class RepairWarning(UserWarning):
     """Input was usable only after a repair; the message says what was changed."""
 

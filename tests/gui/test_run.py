@@ -13,11 +13,13 @@ from napari_deltamic import load_mesh
 from napari_deltamic.cli import build_parser
 from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
+from napari_deltamic.common.doing import doing
 from napari_deltamic.errors import DoubtWarning, InputError
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
 from napari_deltamic.geometry.labels.bright_cells import CellsFound
-from napari_deltamic.gui.running import worker
+from napari_deltamic.gui import document
+from napari_deltamic.gui.running import footer, worker
 from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.measure import measure_cells
 from napari_deltamic.results.session_file import load_session
@@ -108,6 +110,29 @@ def test_pause_holds_the_fit_and_stop_keeps_what_it_reached(seeded, spin, endles
     assert seeded.running.verdict.text().startswith("stopped")
     assert seeded.results.table.rowCount() == 1
     assert seeded.footer.run_button.isEnabled()
+
+
+def test_what_is_prepared_is_told_and_can_be_stopped(seeded, spin, monkeypatch):
+    gate, ended = threading.Event(), []
+
+    def forever(*arguments, **options):
+        try:
+            while True:
+                doing("making meshes of 44 cells")
+                gate.wait(0.01)
+        finally:
+            ended.append(True)
+
+    monkeypatch.setattr(document, "put_together", forever)
+    monkeypatch.setattr(footer, "_LONG", 0.3)
+    seeded.start()
+    spin(lambda: seeded.footer.message.text() == "making meshes of 44 cells ...")
+    spin(lambda: seeded.footer.message.text() == "making meshes of 44 cells: 1 s so far")
+    seeded.footer.stop_button.click()
+    spin(lambda: not running(seeded))
+    assert ended
+    assert seeded.footer.run_button.isEnabled()
+    assert not seeded.footer.reason.text()
 
 
 def test_a_paused_fit_can_be_stopped(seeded, spin, endless):

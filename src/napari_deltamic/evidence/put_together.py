@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.doing import doing
 from ..errors import RepairWarning
 from ..fitting.checks import hot_told, without_hot
 from ..fitting.job import FitInput, assemble, levelled
@@ -55,14 +56,17 @@ def put_together(
         Where something cannot be used.
     """
     as_read = image
+    doing("looking at the image")
     image, hot = without_hot(image)
     if hot:
         warnings.warn(hot_told(hot), RepairWarning, stacklevel=2)
     scene, uneven = with_ground(settings.scene, image) if ground else (settings.scene, "")
     level = levelled(image, grid, scene.effects)
+    doing("measuring the blur")
     scene, told = with_first_psf(scene, level)
     if tell is not None:
         tell(scene, uneven, told)
+    doing("making meshes of the cells")
     mesh, kind, points = start(level, grid)
     whole = settings.model_copy(update={"scene": scene})
     job = assemble(whole, image, grid, mesh, kind, second)

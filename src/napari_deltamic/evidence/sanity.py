@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d
 
+from ..common.doing import doing
 from ..errors import DoubtWarning
 from ..fitting.job import FitInput, levelled
 from ..fitting.likelihood import voxel_noise
@@ -131,6 +132,7 @@ def doubts(
     pixels = np.asarray(image)
     if pixels.ndim != 3 or min(pixels.shape) < 4 or not np.isfinite(pixels).any():
         return ()
+    doing("checking the image")
     cut = _middle(pixels.shape)
     known = np.isfinite(pixels[cut])
     if not known.any():
@@ -149,17 +151,17 @@ def doubts(
             "the stack that it was drawn on as the image"
         )
         return (Doubt("labels", sentence),)
-    found = [
-        _time(middle),
-        _sides(voxel_size),
-        _cut(pixels),
-        _compressed(middle),
-    ]
+    doing()
+    found = [_time(middle), _sides(voxel_size), _cut(pixels)]
+    doing()
+    found.append(_compressed(middle))
+    doing()
     if found[0] is None:
         leaning = _lean(middle, voxel_size)
         found.append(leaning)
         if leaning is None and found[1] is None:
             found.append(_step(middle, voxel_size, seeds if close else None))
+    doing()
     if seeds is not None and len(seeds.faces):
         grid = Grid(pixels.shape, voxel_size, origin)
         found.append(_seeds(pixels, grid, seeds))

@@ -11,13 +11,14 @@ from scipy.ndimage import (
     distance_transform_edt,
     find_objects,
     gaussian_filter,
-    maximum,
     sum_labels,
 )
 from scipy.ndimage import label as label_components
 from skimage.morphology import local_maxima, reconstruction
 from skimage.segmentation import watershed
 
+from ..common.doing import doing
+from ..geometry.labels.voxels import highest
 from ..images.missing import filled
 from ..scene import Grid
 
@@ -140,8 +141,10 @@ def without_start(bright: Mask, light: np.ndarray, starts: Labels, grid: Grid) -
     if np.median(cores - RULES.full * brightest) <= 0:
         return np.zeros(starts.shape, bool)
     things = without_thin(bright & (starts == 0), RULES.thin * radii.min(), size)[0]
+    doing()
     rise = RULES.rise * float(np.median(light[starts > 0]))
     alone = _rising(things, light, starts, rise)
+    doing()
     thick = without_thin(things & ~alone, RULES.thick * float(np.median(radii)), size)[0]
     return alone | thick
 
@@ -158,8 +161,10 @@ def _rising(things: Mask, light: np.ndarray, starts: Labels, rise: float) -> Mas
     tops = local_maxima(np.where(mask, light, light.min()), connectivity=1) & things
     peaks, count = label_components(tops)
     start = count + 1  # all starts as one part
+    doing()
     parts = watershed(-light, np.where(rim, start, peaks), mask=mask)
-    heights = maximum(light, parts, np.arange(start + 1))
+    doing()
+    heights = np.append(-np.inf, highest(light, parts, start))
     heights[start] = np.inf
     root = list(range(start + 1))
 
@@ -215,6 +220,7 @@ def _cores(
     smooth: np.ndarray, starts: Labels, radii: np.ndarray, size: np.ndarray
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Brightness in the core of each start, 0 where it has none; and of its brightest places."""
+    doing()
     within = distance_transform_edt(starts > 0, sampling=size)
     cores, brightest = np.zeros(len(radii)), np.zeros(len(radii))
     for r, (box, radius) in enumerate(zip(find_objects(starts), radii, strict=True)):
@@ -237,6 +243,7 @@ def _things_of(starts: Labels, bright: Mask, far: float, size: np.ndarray) -> tu
     box = tuple(slice(max(s.start - r, 0), s.stop + r) for s, r in sides)
     connected, _ = label_components(bright[box])
     touched = np.unique(connected[(starts[box] > 0) & bright[box]])
+    doing()
     depth = distance_transform_edt(np.isin(connected, touched), sampling=size)
     things[box] = parted(depth, RULES.neck)
     volume = np.bincount(things.ravel())
@@ -251,12 +258,13 @@ def _things_of(starts: Labels, bright: Mask, far: float, size: np.ndarray) -> tu
 
 def without_thin(things: Mask, thin: float, size: np.ndarray) -> tuple[Mask, Mask]:
     """What is thicker than twice a length, rounded by it, and what sticks out of that."""
+    doing()
     thick = distance_transform_edt(things, sampling=size) > thin
     if not thick.any():
         return thick, thick
     near = distance_transform_edt(~thick, sampling=size)
     rest, count = label_components(things & (near > thin))
-    out = np.append(False, maximum(near, rest, np.arange(1, count + 1)) > RULES.corner * thin)
+    out = np.append(False, highest(near, rest, count) > RULES.corner * thin)
     return things & (near <= thin), out[rest]
 
 
@@ -266,6 +274,7 @@ def parted(depth: NDArray[np.floating], neck: float) -> Labels:
     neck : share of the depth of either to which the way between two parts comes, at most.
     """
     inside = depth > 0
+    doing()
     log = np.log(np.where(inside, depth, neck**2 * depth[inside].min()))
     flooded = reconstruction(log + np.log(neck), log)
     peaks, _ = label_components(local_maxima(flooded, connectivity=3) & inside, np.ones((3, 3, 3)))

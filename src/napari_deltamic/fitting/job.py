@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.doing import doing
 from ..geometry import Mesh
 from ..optics import GaussianPSF, Optics
 from ..runs.optics_settings import optics_from_values
@@ -149,6 +150,7 @@ def assemble(
     if settings.fit.trials:
         found["trials"] = wanted.trials
     settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
+    doing("finding which voxels belong to the cells")
     ground = counted_around if kind == "rough" else counted_voxels
     counted = ground(level, grid, mesh, optics)
     given = settings, image, grid, mesh, optics, counted, second, kind

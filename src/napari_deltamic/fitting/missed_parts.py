@@ -16,12 +16,12 @@ from scipy.ndimage import (
     distance_transform_edt,
     find_objects,
     label,
-    maximum,
     mean,
 )
 from skimage.segmentation import watershed
 
-from ..geometry.labels.voxels import box_around
+from ..common.doing import doing
+from ..geometry.labels.voxels import box_around, highest
 from ..scene import Grid
 from .bright_regions import Labels, Mask, bright_regions, without_thin
 
@@ -119,6 +119,7 @@ def without_missed(
     hollow = missed(dark_regions(light, starts, foreign), starts, grid)
     full = missed(bright_regions(image, grid, starts), starts, grid) & (~strangers | hollow)
     beside = _away(hollow, spacing)
+    doing()
     own, foreign = np.minimum(own, beside), foreign & ~hollow & ((beside > reach) | strangers)
     parts, count = label(foreign, _ALL_AROUND)
     numbers = np.arange(1, count + 1)
@@ -148,6 +149,7 @@ def dark_regions(light: NDArray[np.floating], starts: Labels, foreign: Mask) -> 
         around = tuple(_wider(side, n) for side, n in zip(box, starts.shape, strict=True))
         if not foreign[around].any():
             continue
+        doing()
         own, free = starts[around] == region, starts[around] == 0
         inside = _flooded(light[around], own, own | free, _inner(around, starts.shape))
         if inside is not None:
@@ -188,7 +190,8 @@ def _flooded(light: NDArray[np.floating], own: Mask, free: Mask, inner: Mask) ->
     if (region & ~inner).any():
         return None
     ends = np.where(region, 1, 2 * (low | ~free))
-    return np.asarray(watershed(light, ends) == 1)
+    # Only where it has to be decided, and the voxels beside that: most of a box is not.
+    return np.asarray(watershed(light, ends, mask=binary_dilation(ends == 0)) == 1) | region
 
 
 def missed(found: Labels | None, starts: Labels, grid: Grid) -> Mask:
@@ -215,6 +218,7 @@ def missed(found: Labels | None, starts: Labels, grid: Grid) -> Mask:
         own, start = found[around] == region, starts[around] == region
         rest, volume = own & (starts[around] == 0), np.count_nonzero(start)
         held = np.count_nonzero(own & start)
+        doing()
         if held > RULES.most * volume and np.count_nonzero(rest) < RULES.larger * volume:
             result[around] |= _of_one_cell(rest, start, size)
     return result
@@ -227,8 +231,7 @@ def _of_one_cell(rest: Mask, start: Mask, size: NDArray[np.floating]) -> Mask:
     parts, count = label(rest & whole, _ALL_AROUND)
     depth = distance_transform_edt(rest | start, sampling=size)
     meets = np.where(binary_dilation(start, _ALL_AROUND), depth, 0)
-    numbers = np.arange(1, count + 1)
-    at_start, at_most = (np.asarray(maximum(d, parts, numbers)) for d in (meets, depth))
+    at_start, at_most = (highest(d, parts, count) for d in (meets, depth))
     return np.append(False, at_start >= RULES.neck * at_most)[parts]
 
 

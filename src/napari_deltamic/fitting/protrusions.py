@@ -6,9 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, maximum
+from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects
 from scipy.ndimage import label as label_components
 from skimage.morphology import reconstruction
+
+from ..common.doing import doing
+from ..geometry.labels.voxels import highest
 
 Labels = NDArray[np.signedinteger]
 Mask = NDArray[np.bool_]
@@ -97,7 +100,7 @@ def protrusions(
         return nothing
     things, count = label_components(foreign, _ALL_AROUND)
     numbers = np.arange(1, count + 1)
-    peak = np.asarray(maximum(height, things, numbers))
+    peak = highest(height, things, count)
     theirs = (peak <= RULES.double) & _thin(things, bright, spacing)
     theirs &= _joined(things, beside, height, RULES.joined * np.minimum(peak, 1))
     theirs &= ~_hollow(things, height, inside | beside, known, max(noise, RULES.hollow))
@@ -112,6 +115,7 @@ def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
     depths = []
     room = np.ceil(RULES.thick / spacing).astype(int) + 1
     for number, box in enumerate(find_objects(things), 1):
+        doing()
         around = tuple(
             slice(max(s.start - r, 0), s.stop + r) for s, r in zip(box, room.tolist(), strict=True)
         )
@@ -128,6 +132,7 @@ def _hollow(things: Labels, height: np.ndarray, own: Mask, known: Mask, least: f
     """
     found = []
     for number, inner in enumerate(find_objects(things), 1):
+        doing()
         box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in inner)
         around = np.where(known[box], height[box], height[box].max())
         full = around.copy()
@@ -143,6 +148,7 @@ def _joined(things: Labels, beside: Mask, height: np.ndarray, bounds: np.ndarray
     found = np.zeros(len(bounds), bool)
     steps = np.ceil(bounds / _STEP) * _STEP  # one look at the image for each of a few heights
     for step in np.unique(steps):
+        doing()
         parts, _ = label_components((height > step) & ((things > 0) | beside), _ALL_AROUND)
         own = np.isin(parts, np.unique(parts[beside])) & (parts > 0)
         found |= np.isin(np.arange(1, len(bounds) + 1), np.unique(things[own])) & (steps == step)
@@ -154,6 +160,7 @@ def _encloses(walls: Mask, spacing: np.ndarray) -> bool:
 
     Not all of it at once: what lies open to both sides of an axis is the outside.
     """
+    doing()
     parts, _ = label_components(~walls)
     for number, box in enumerate(find_objects(parts), 1):
         across = (s.start == 0 and s.stop == n for s, n in zip(box, walls.shape, strict=True))

@@ -18,13 +18,13 @@ from scipy.ndimage import (
     find_objects,
     gaussian_filter,
     label,
-    maximum,
     maximum_filter,
     minimum_filter,
 )
 
+from ..common.doing import doing
 from ..errors import InputError, RepairWarning
-from ..geometry.labels.voxels import voxel_labels
+from ..geometry.labels.voxels import highest, voxel_labels
 from ..geometry.mesh import Mesh
 from ..geometry.seed_points import labels_from_points
 from ..images.missing import filled
@@ -138,6 +138,7 @@ def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
         return _shared_out(image, grid, *given, max(RULES.explained, _radius(mesh, optics)))
     surface = np.zeros(labels.shape, bool)
     for region in np.unique(labels[labels > 0]):
+        doing()
         own = labels == region
         surface |= own & ~binary_erosion(own, border_value=1)
     return _shared_out(image, grid, surface, labels, optics, near)
@@ -161,8 +162,10 @@ def _shared_out(
         return known
     pixels = np.where(known, image, np.nanmedian(image)).astype(np.float32)
     spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
+    doing()
     pixels = gaussian_filter(pixels, RULES.smooth / spacing)
     own, at = distance_transform_edt(~surface, sampling=spacing, return_indices=True)
+    doing()
     dark = np.percentile(pixels[known], 20)
     # The brightest voxel near each piece of surface is what a membrane looks like here.
     membrane = np.percentile(pixels[(own < 1) & known], 60)
@@ -172,10 +175,12 @@ def _shared_out(
     crest = np.maximum(maximum_filter(pixels, tuple(_across(1 / spacing)))[tuple(at)], membrane)
     least = np.maximum(RULES.bright * (crest - dark), RULES.above * _noise(pixels[known]))
     bright = pixels - haze > dark + least
+    doing()
     # What lies in a cell is light of this cell, whatever it is; that of strangers is theirs however
     # near: half way to them, a fit still grew into what it could not see of them.
     reach = _reach(bright, own, ~inside & known, explained)
     beside = own <= reach
+    doing()
     foreign = bright & ~beside & ~inside & known
     foreign &= ~_rims(foreign, own - reach)
     above = max(float(membrane - dark), 1e-30)
@@ -183,17 +188,22 @@ def _shared_out(
     height = np.where(known, pixels - haze - dark, 0) / above
     # What is missing dims what is smoothed beside it.
     sure = known.all() or distance_transform_edt(known, sampling=spacing) > 2 * RULES.smooth
+    doing()
     given = inside, beside, height, known & sure, noise, spacing
     foreign &= ~protrusions(foreign, bright & known, *given)
     foreign |= known & (labels == STRANGER)
+    doing()
     if close:
         shining = pixels - haze > dark + RULES.beside * (crest - dark)
         strangers = known & without_start(shining, pixels - dark, labels, grid)
+        doing()
         things = labels, pixels - dark, foreign | strangers, strangers
         foreign, own, missed = without_missed(image, grid, *things, own, reach, spacing)
+        doing()
         if missed.any():
             foreign &= strangers | ~_rims(foreign & ~strangers, own - reach)
             inside |= missed
+    doing()
     if not foreign.any():
         return known
     other = distance_transform_edt(~foreign, sampling=spacing)
@@ -235,8 +245,8 @@ def _rims(things: Mask, beyond: np.ndarray) -> Mask:
     beyond : (Z, Y, X) widths from where its light ends.
     """
     parts, number = label(things)
-    farthest = maximum(beyond, parts, np.arange(number + 1))
-    return things & (farthest <= RULES.rim)[parts]
+    farthest = highest(beyond, parts, number)
+    return things & np.append(False, farthest <= RULES.rim)[parts]
 
 
 def _noise(values: np.ndarray) -> float:
@@ -251,6 +261,7 @@ def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> 
     places = []
     boxes = find_objects(starts)
     for region in mesh.region_ids():
+        doing()
         box = boxes[region - 1]
         own = np.pad(starts[box] == region, 1)
         deepest = np.unravel_index(distance_transform_edt(own, sampling=size).argmax(), own.shape)

@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 from psygnal import Signal
 
 from ..accuracy.experience import Learned
+from ..common.doing import doing
 from ..errors import DoubtWarning
 from ..evidence.put_together import put_together, start_of
 from ..evidence.sanity import tell_doubts
@@ -180,6 +181,7 @@ class Document:
         grid = frame.grid(image.shape())
 
         def prepare() -> FitInput:
+            doing("reading the image")
             pixels = read()
             check_image(pixels, grid)  # which takes a while where the image is large
             start, tell = partial(start_of, seeds), _tell_ground

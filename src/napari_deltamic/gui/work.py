@@ -23,7 +23,7 @@ from napari.utils import progress
 from psygnal import Signal
 from qtpy.QtCore import QObject, QTimer
 
-from ..errors import TOLD, InputError
+from ..errors import TOLD, InputError, Stopped
 from .calm import Calm
 from .window_words import words_of
 
@@ -88,10 +88,13 @@ class Task:
         self.stopping = True
 
     def step(self, text: str) -> None:
-        """Note in the thread what is done; raises where it was stopped, for what cannot yield."""
+        """Note in the thread what is done, if it is another thing.
+
+        Raises where it was stopped, for what cannot yield.
+        """
         if self.stopping:
-            raise InputError("stopped")
-        self.stage = text
+            raise Stopped
+        self.stage = text or self.stage
 
     def close(self) -> None:
         """End it and tell nobody; its thread may go on for a while, and holds no widget then."""

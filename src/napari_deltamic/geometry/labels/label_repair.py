@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from napari_deltamic.common.doing import doing
 from napari_deltamic.common.words import counted
 from napari_deltamic.errors import InputError, listed
 from napari_deltamic.geometry.labels.annotated_slices import filled_between
@@ -202,6 +203,7 @@ def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.i
     broken, large, holes, torn = [], [], [], 0
     boxes = label_boxes(numbers)
     for name, box in boxes:
+        doing()
         mask = numbers[box] == name
         parts, count = ndimage.label(mask)
         if count < 2:
@@ -219,6 +221,7 @@ def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.i
         )
     # Fragments of others leave holes, too.
     for name, box in boxes:
+        doing()
         mask = result[box] == name
         hole = ndimage.binary_fill_holes(mask) & (result[box] == 0)
         if hole.any():
@@ -242,6 +245,7 @@ def share_out_gaps(numbers: NDArray[Any], spacing: FloatArray, reach: float) -> 
     ground = np.pad(numbers == 0, room, constant_values=True)
     distance, nearest = ndimage.distance_transform_edt(ground, spacing, return_indices=True)
     reach += _ROUNDING
+    doing()
     grown = distance <= reach
     closed = ndimage.distance_transform_edt(grown, spacing) > reach
     filled = np.pad(numbers, room)[tuple(nearest)]

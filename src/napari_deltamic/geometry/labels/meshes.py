@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
+from napari_deltamic.common.doing import doing
+from napari_deltamic.common.words import counted
 from napari_deltamic.errors import DoubtWarning, InputError, RepairWarning, listed
 from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.contacts import label_contacts
@@ -130,18 +132,21 @@ def surfaces_of_labels(
     for question in repaired.asked:
         warnings.warn(question, DoubtWarning, stacklevel=3)
     whole, marks = repaired.labels, list[int]()
+    doing()
     if image is not None:
         seen = np.asarray(image)
         if seen.shape != whole.shape or not np.isfinite(seen).all():
             raise InputError(
                 f"the image must be finite and of the shape of the labels, {whole.shape}"
             )
+        doing("looking how far the cells reach")
         whole, marks = whole_cells(seen, whole, size)
     if marks:
         warnings.warn(_enlarged(marks), RepairWarning, stacklevel=3)
     array = whole.astype(np.int64)
     names = np.unique(array)
     names = names[names > 0]
+    doing(f"making meshes of {counted(len(names), 'cell')}")
     if edge_length is None:
         area, usual = _area(array, size), _edge_in_voxels(array, size)
         edge, finest = (edge_within(size, area, len(names), n) for n in (usual, _FINEST))
@@ -318,7 +323,9 @@ def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
         return None
     counts = np.bincount(cut.ravel(), minlength=int(cluster.max()) + 1)
     volumes = {int(k): float(counts[k] * np.prod(at.size)) for k in mesh.region_ids()}
+    doing()
     mesh = with_volumes(remesh(mesh, at.edges(mesh)).mesh, volumes)
+    doing()
     mesh = with_volumes(remesh(mesh, at.edges(mesh), passes=2).mesh, volumes)
     mesh = smoothed_out(mesh, at.shortest)
     own_names = np.concatenate([[0], at.names])
@@ -329,6 +336,7 @@ def _whole(numbers: IntArray, cluster: IntArray) -> IntArray:
     """Of each label the largest part, with holes filled that are no other label."""
     kept = np.zeros_like(numbers)
     for number, box in zip(cluster, _boxes(numbers, cluster), strict=True):
+        doing()
         mask = numbers[box] == number
         parts, count = ndimage.label(mask)
         if count > 1:
@@ -350,6 +358,7 @@ def _without_gaps(
         return share_out_gaps(numbers, size, gap / 2) if gap > 0 else numbers
     # A line of one voxel is reached from the voxels beside it.
     closed = share_out_gaps(numbers, np.ones(3), 1.0)
+    doing()
     return closed if image is None else with_dark_gaps(numbers, closed, np.asarray(image))
 
 

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from napari_deltamic.common.doing import doing
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.connected import connected
 from napari_deltamic.geometry.labels.dual_net import (
@@ -96,6 +97,7 @@ def with_volumes(mesh: Mesh, volumes: dict[int, float]) -> Mesh:
     wanted = np.array([volumes[int(k)] for k in names])
     farthest = _FARTHEST * mesh.median_edge()
     for _ in range(_SWELLINGS):
+        doing()
         present = mesh.volumes()
         lacking = wanted - [present[int(k)] for k in names]
         areas, normals = mesh.areas(), mesh.normals()
@@ -173,6 +175,7 @@ def _compete(labels: IntArray, size: FloatArray, edge: float, raised: bool, thin
     # Side by side, entered in their order. SciPy lets other threads run meanwhile.
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         for number, (where, values) in enumerate(pool.map(field, range(len(boxes)))):
+            doing()
             nodes.enter(int(names[number - 1]) if number else 0, where, values)
     return nodes
 
@@ -223,6 +226,7 @@ def _mend(nodes: _Nodes) -> int:
     given = np.zeros(nodes.best.shape, np.int64)
     arrays: tuple[NDArray[Any], ...] = (nodes.best, nodes.second, nodes.first, nodes.next, given)
     for _ in range(_ROUNDS):
+        doing()
         axes = range(3)
         if not sum(_mend_squares(*(np.moveaxis(a, axis, 0) for a in arrays)) for axis in axes):
             break

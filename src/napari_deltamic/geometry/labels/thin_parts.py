@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
+from napari_deltamic.common.doing import doing
 from napari_deltamic.geometry.labels.voxels import box_around, region_windings
 from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
 
@@ -47,6 +48,7 @@ def cut_off(
     found: dict[int, float] = {}
     place = size.tolist(), origin.tolist()
     for name, box, wound in region_windings(mesh, mesh.region_ids(), numbers.shape, *place):
+        doing()
         number = int(np.searchsorted(names, name)) + 1
         both = box_around(box, boxes[number - 1])
         own = numbers[both] == number

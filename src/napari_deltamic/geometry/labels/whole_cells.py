@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.segmentation import watershed
 
+from napari_deltamic.common.doing import doing
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.basins import noise_after
 from napari_deltamic.geometry.labels.regions_at_points import closed_regions
@@ -133,6 +134,7 @@ def whole_cells(image: FloatArray, labels: Labels, size: FloatArray) -> tuple[La
     found = [find(seen, ranked, asked) for find in (_regions, _between)]
     boxes = [ndimage.find_objects(one, len(known)) for one in found]
     for k in asked:
+        doing()
         regions = [
             _Region(k, one, box_around(box[k - 1], asked[k].box))
             for one, box in zip(found, boxes, strict=True)
@@ -147,6 +149,7 @@ def whole_cells(image: FloatArray, labels: Labels, size: FloatArray) -> tuple[La
 
 def _each(labels: Labels, size: FloatArray) -> Iterator[tuple[int, _Label]]:
     for name, box in enumerate(ndimage.find_objects(labels), 1):
+        doing()
         own = labels[box] == name
         depth = _depth(own, size)
         deepest = np.array(np.unravel_index(depth.argmax(), depth.shape))
@@ -176,6 +179,7 @@ def _between(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
     from all of them. It also parts cells whose wall is dim in one place.
     """
     away = ndimage.distance_transform_edt(~np.isin(labels, list(asked)), sampling=seen.size)
+    doing()
     outside = away > RULES.reach * np.median([one.depth for one in asked.values()])
     far = int(labels.max()) + 1
     found: Labels = watershed(seen.smooth, np.where(outside & (labels == 0), far, labels))
@@ -184,6 +188,7 @@ def _between(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
 
 def _ends_on_nothing(seen: _Seen, labels: Labels, name: int, at: _Label) -> bool:
     """Whether the image changes little where a label ends, and more further out."""
+    doing()
     light, values, inner = _layers(seen, labels, name, at)
     if inner == 0 or len(light) < inner + 2:
         return False

@@ -59,6 +59,7 @@ class Footer(QWidget):
         self.stop_button.setEnabled(task is not None)
         self.progress.setVisible(task is not None)
         if task is not None:
+            self._since = time.monotonic()
             self._advance(0, 0)
             self.reason.say("")
         else:
@@ -86,13 +87,16 @@ class Footer(QWidget):
         return ""
 
     def _looked(self) -> None:
-        """What any task is doing; a fit, which says more, only where that takes long."""
+        """What any task is doing; a fit that iterates says more, unless that takes long."""
         task: Any = self._doc.work.task
         if task is not None and task.stopping:  # by a key, as well
             self.message.say("stopping ...")
         elif isinstance(task, FitRun):
             waited = time.monotonic() - self._since
-            if self._iterations and waited > self._long and not task.paused:
+            if task.state is None:
+                so_far = f": {waited:.0f} s so far" if waited > _LONG else " ..."
+                self.message.say(f"{task.stage}{so_far}")
+            elif self._iterations and waited > self._long and not task.paused:
                 doing = "the next step takes longer" if task.stage == "fitting" else task.stage
                 so_far = f"{waited:.0f} s so far; {counted(self._iterations, 'iteration')}"
                 self.message.say(f"{doing}: {so_far}")

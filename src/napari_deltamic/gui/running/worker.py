@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...accuracy.forecast import Forecast
 from ...accuracy.outlook import Forecaster
 from ...accuracy.renewed_forecast import RenewedForecast
+from ...common.doing import listening
 from ...errors import InputError
 from ...fitting import Change, FitState
 from ...fitting.job import FitInput, following, scene_with, start
@@ -140,7 +141,8 @@ class FitRun(Task):
     def steps(self) -> Generator[None, None, Outcome]:
         """Yields after every iteration."""
         self.stage = "preparing the seeds"
-        job = self.job = self._prepare()
+        with listening(self.step):
+            job = self.job = self._prepare()
         yield
         self.forecast = self.first_forecast = self._forecaster(job)
         self.stage = "fitting"

@@ -8,6 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from ...common.doing import listening
 from ...fitting.job import FitInput
 from ...results.judged import judged_frame
 from ...results.timeline import explained
@@ -102,7 +103,8 @@ class TrackWork(Task):
     def steps(self) -> Generator[None, None, Outcome]:
         """Yields after every iteration."""
         began, done = time.monotonic(), list(self.results)
-        job = self.job = self.prepare()
+        with listening(self.step):
+            job = self.job = self.prepare()
         yield
         assert job is not None, "is not offered without one"
         settings, count, before = self.settings, len(self.frames), job.mesh
