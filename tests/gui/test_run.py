@@ -135,6 +135,24 @@ def test_what_is_prepared_is_told_and_can_be_stopped(seeded, spin, monkeypatch):
     assert not seeded.footer.reason.text()
 
 
+@pytest.mark.usefixtures("judged")
+def test_a_fit_that_cannot_be_prepared_leaves_the_result_before_it(ended, spin, monkeypatch, told):
+    spin(lambda: ended.doc.result.judged is not None)
+    judged, words, grade = ended.doc.result.judged, ended.doc.result.words, ended.running.grade
+    said = ended.running.verdict.text(), grade.text()
+
+    def empty(*arguments, **options):
+        raise InputError("the label image has no labels above 0")
+
+    monkeypatch.setattr(document, "put_together", empty)
+    ended.start()
+    spin(lambda: not running(ended))
+    assert ended.footer.reason.text() == "The label image has no labels above 0."
+    assert told[-1] == "the label image has no labels above 0"
+    assert (ended.running.verdict.text(), grade.text()) == said
+    assert (ended.doc.result.words, ended.doc.result.judged) == (words, judged)
+
+
 def test_a_paused_fit_can_be_stopped(seeded, spin, endless):
     seeded.start()
     spin(went_on(seeded))

@@ -216,7 +216,6 @@ class Document:
 
     def start(self, run: Any, record: Record, *, fresh: bool) -> None:
         """Start a fit of the image of a record; InputError where something else runs."""
-        record.words, record.judged = ("", ""), None
         self._forget_rescued()
         self.run, self._of_run, self.begun, self._fresh = run, record, False, fresh
         run.render = self.view != "image"
@@ -227,6 +226,7 @@ class Document:
         """The first state of a run is there: only now that before it is given up."""
         if not self.begun:
             self.begun = True
+            record.words, record.judged = ("", ""), None
             if self._fresh:
                 self.meshes_came.emit()
                 record.timeline = Timeline()

@@ -167,13 +167,18 @@ class RunControl:
         if state is not None:
             done = "" if "iterations" in text else f"{state.iteration} iterations, "
             text += f" ({done}{duration(run.seconds)})"
-        record.end(outcome.verdict, "\n".join([text, *remarks]))
-        if outcome.verdict == "failed":
+        if outcome.verdict == "failed" and state is not None:
             doc.warned.emit(outcome.message)
+        elif outcome.verdict == "failed":
+            self.complain(outcome.message)
+        words = outcome.verdict, "\n".join([text, *remarks])
         if state is None or job is None:
-            doc.result_changed.emit()
+            if record.state is None:
+                record.end(*words)
+            doc.result_changed.emit()  # of an earlier result, how good it is still holds
             return
         doc.begin(record)
+        record.end(*words)
         record.show(state)
         record.take(state, job, run.history, run.seconds)
         doc.result_changed.emit()
