@@ -230,6 +230,7 @@ class Document:
             if self._fresh:
                 self.meshes_came.emit()
                 record.timeline = Timeline()
+                record.fitted.clear()  # no undo leads back to those
                 self._place_link(record)
             else:
                 record.timeline.go_on()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,12 +13,25 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..fitting import FitState
 from ..fitting.by_hand import is_again, is_by_hand
-from ..fitting.job import FitInput
+from ..fitting.job import FitInput, following
 from ..measure import measure_cells
 from ..results.judged import Judged
 from ..results.report import History
 from ..results.timeline import Timeline
 from .viewing.viewer_link import ViewerLink
+
+_KEPT = 5  # results that undo may lead back to; chosen: each holds images
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a fit ended with, see ``Record``."""
+
+    state: FitState
+    job: FitInput | None
+    history: History
+    seconds: float
+    words: tuple[str, str]
 
 
 @dataclass(eq=False)
@@ -28,7 +42,7 @@ class Record:
     state, job : of the result; None before there is one.
     rows : measurements of its cells.
     judged : how good it is, once that is known.
-    fitted : the last state of a fit that was a result, whatever was changed by hand since.
+    fitted : what the last fits ended with, whatever was changed by hand since.
     """
 
     link: ViewerLink
@@ -40,7 +54,7 @@ class Record:
     seconds: float = 0.0
     rows: Sequence[Mapping[str, Any]] = ()
     judged: Judged | None = None
-    fitted: FitState | None = None
+    fitted: deque[Fitted] = field(default_factory=lambda: deque(maxlen=_KEPT))
 
     @property
     def by_hand(self) -> bool:
@@ -66,15 +80,22 @@ class Record:
         self.state, self.job, self.history, self.seconds = state, job, history, seconds
         self.rows, self.judged = measure_cells(state.mesh), None
         if not self.by_hand:
-            self.fitted = state
+            self.fitted.append(Fitted(state, job, history, seconds, self.words))
 
     def take_changed(self, state: FitState, note: str) -> None:
-        """Take a state that was changed by hand, or that of the fit where undo leads back to it."""
-        fitted = self.fitted
-        if fitted is not None and is_again(state, fitted):
-            state = replace(fitted, pinned=state.pinned)
+        """Take a state that was changed by hand, or that of a fit where undo leads back to it."""
+        again = [one for one in self.fitted if is_again(state, one.state)]
+        if not again:
+            job = None if self.job is None else following(self.job, state)
+            self.show(state, note)
+            self.take(state, job, self.history, self.seconds)
+            return
+        before = again[-1]
+        state = replace(before.state, pinned=state.pinned)
+        self.fitted.remove(before)
+        self.words = before.words
         self.show(state, note)
-        self.take(state, self.job, self.history, self.seconds)
+        self.take(state, before.job, before.history, before.seconds)
 
     def pin(self, pinned: NDArray[np.bool_]) -> None:
         """Note which vertices of the result are pinned, (V,), for a fit that goes on."""
