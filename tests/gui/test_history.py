@@ -7,9 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from napari_deltamic.fitting import fit
+from napari_deltamic.fitting.light_cone import confocal_of
 from napari_deltamic.gui.running import footer, run_control, worker
 from napari_deltamic.gui.running.footer import forecast_text, progress_text
 from napari_deltamic.measure.surface_distance import distance_to_surface
+from napari_deltamic.optics import GaussianPSF
 
 from .interacting import notes, pause, right_end, use, vertices, went_on
 
@@ -111,6 +114,66 @@ def test_undo_brings_back_the_fit_with_its_verdict(seeded, spin):
     assert (check.grade.text(), check.grade.verdict) == graded
     check.history.redo_button.click()
     assert record.by_hand
+
+
+@pytest.fixture
+def swapped(monkeypatch):
+    """Fits that begin anew with another kind of PSF after two states, and end when they are let."""
+    gate = threading.Event()
+
+    def states(job, watch=None):
+        few = job.settings.fit.model_copy(update={"max_iterations": 3})
+        given = job.image, job.grid, job.mesh
+        begun = list(fit(*given, job.optics, settings=few))[:2]
+        swapped = list(fit(*given, confocal_of((0.4, 0.2, 0.2)), settings=few))
+        for last in [*begun, *swapped]:
+            yield last
+            time.sleep(0.1)  # until each is shown
+        while not gate.is_set():
+            time.sleep(0.01)
+            yield last
+
+    monkeypatch.setattr(worker, "start", states)
+    return gate
+
+
+@pytest.mark.usefixtures("judged")
+def test_going_on_from_before_the_fit_swapped_its_psf_and_back(seeded, spin, swapped, told):
+    seeded.start()
+    bar = seeded.running.history
+    kind = type(confocal_of((0.4, 0.2, 0.2)))
+    spin(lambda: seeded.doc.begun and isinstance(seeded.doc.present().state.optics, kind))
+    spin(lambda: bar.slider.maximum() > 1)
+    bar.slider.setValue(0)
+    assert isinstance(bar.chosen.optics, GaussianPSF)
+    assert not bar.go_on_button.isEnabled()  # it runs with another one
+    assert "The PSF was of another kind then" in bar.note.text()
+    assert "stop it to continue from here" in bar.go_on_button.toolTip()
+    swapped.set()
+    spin(lambda: not seeded.doc.running)
+    spin(lambda: seeded.doc.result.judged is not None)
+    first, words = seeded.doc.result.state, seeded.doc.result.words
+    grade = seeded.running.grade.text()
+    assert grade
+    assert bar.go_on_button.isEnabled()
+    assert "another kind" not in bar.note.text()
+    bar.go_on_button.click()
+    spin(lambda: not seeded.doc.running)
+    record = seeded.doc.result
+    assert not told
+    assert record.state is not first
+    assert not record.by_hand
+    spin(lambda: record.judged is not None)
+    bar.undo_button.click()
+    assert record.state.mesh is first.mesh
+    assert isinstance(record.job.optics, kind)
+    assert not record.by_hand
+    assert record.words == words
+    spin(lambda: record.judged is not None)
+    assert seeded.running.grade.text() == grade
+    bar.redo_button.click()  # to what the second fit reached
+    assert record.state.mesh is not first.mesh
+    assert not record.by_hand
 
 
 def test_undo_of_settings_shows_them_again(begun, spin):

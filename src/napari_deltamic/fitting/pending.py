@@ -103,12 +103,18 @@ class Waiting:
             return taken
 
 
-def usable(change: Change, mesh: Mesh, optics: Optics, job: FitInput) -> None:
+def usable(
+    change: Change, mesh: Mesh, optics: Optics, job: FitInput, *, running: bool = True
+) -> None:
     """InputError if a fit cannot take a change: it would end by it.
 
-    The mesh and the PSF are those that the fit has.
+    The mesh and the PSF are those that the fit has. One that does not run takes any kind of PSF:
+    the next one begins with it.
     """
     settings = job.settings.fit
+    if change.optics is not None:
+        check_psf(change.optics, job.grid)
+        change = change if running else replace(change, optics=None)
     if change.settings is not None:
         # Levels that the software chose are not noted in the settings.
         change = replace(
@@ -117,7 +123,5 @@ def usable(change: Change, mesh: Mesh, optics: Optics, job: FitInput) -> None:
     change.check(mesh, optics, settings)
     if change.mesh is not None:
         check_mesh(change.mesh, job.grid)
-    if change.optics is not None:
-        check_psf(change.optics, job.grid)
     if change.effects is not None:
         Problem.of(job.image, job.grid, job.counted).counted_with(change.effects)

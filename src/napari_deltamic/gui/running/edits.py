@@ -20,6 +20,7 @@ from ..record import Present
 from ..widgets import Signal
 
 _DEEPEST = 30  # steps that can be undone
+OTHER_PSF = "the PSF was of another kind then, which a fit cannot change to while it runs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +110,7 @@ class Edits(QObject):
     def change(self, change: Change, note: str) -> None:
         """Change anything. InputError where it cannot be; then all is as before."""
         present = self._present()
-        usable(change, present.state.mesh, present.state.optics, present.job)
+        _check(change, present)
         back = self._back(change, present)
         self._apply(change, present, note)
         self._remember(note, back, present.state.mesh)
@@ -122,7 +123,7 @@ class Edits(QObject):
         if present.running:
             self.change(change, note)
             return
-        usable(change, present.state.mesh, present.state.optics, present.job)
+        _check(change, present)
         back = self._back(change, present)
         self._control.go_on_from(mesh, optics, pinned)
         # The new run has them from its second state on.
@@ -162,7 +163,7 @@ class Edits(QObject):
         change, mesh = step.back, present.state.mesh
         if change.mesh is None and change.pinned is not None:
             change = replace(change, pinned=carried(change.pinned, step.of, mesh))
-        usable(change, mesh, present.state.optics, present.job)
+        _check(change, present)
         back = self._back(change, present)
         source.pop()
         self._apply(change, present, f"{word} {step.note}")
@@ -216,6 +217,21 @@ class Edits(QObject):
         self._done = [*self._done, _Step(note, back, of)][-_DEEPEST:]
         self._undone = []
         self.changed.emit()
+
+
+def can_take(optics: Any, present: Present) -> bool:
+    """Whether what there is to change can go on with a PSF: a fit that runs keeps its kind."""
+    now = present.state.optics
+    same = type(optics) is type(now) and optics.parameters().shape == now.parameters().shape
+    return same or not present.running
+
+
+def _check(change: Change, present: Present) -> None:
+    """InputError if what there is to change cannot take a change."""
+    if change.optics is not None and not can_take(change.optics, present):
+        raise InputError(f"{OTHER_PSF}: stop the fit first")
+    state, job = present.state, present.job
+    usable(change, state.mesh, state.optics, job, running=present.running)
 
 
 def _suited(values: Any, of: Mesh | None, mesh: Mesh) -> Any:

@@ -17,9 +17,10 @@ from ...results.timeline import Moment, explained
 from ..document import Document
 from ..widgets import Note, Signal, button, column, row, sentence, small
 from ..window_words import as_tip
-from .edits import Edits
+from .edits import OTHER_PSF, Edits, can_take
 
 _EVERY = 0.2  # s between two updates of the slider
+_UNABLE = f"{OTHER_PSF[0].upper()}{OTHER_PSF[1:]}: stop it to continue from here"
 
 
 class HistoryBar(QWidget):
@@ -149,21 +150,24 @@ class HistoryBar(QWidget):
         return min(nearest, max(len(self._moments) - 2, 0))
 
     def _show(self) -> None:
-        looking, running = self.chosen is not None, self._doc.running
+        shown, running = self.chosen, self._doc.running
+        looking = shown is not None
         self.live_button.setVisible(looking)
-        self.go_on_button.setEnabled(not self._of_other_size)
         self.go_on_button.setVisible(looking or (not running and bool(self._moments)))
-        tip = (
-            "The fit goes on from the state shown."
-            if running
-            else "Start a fit from the state shown, with little blur."
-        )
-        self.go_on_button.setToolTip(as_tip(sentence(self._of_other_size) or tip))
-        text, shown = "", self.chosen
+        present, tip = self._doc.present(), "Start a fit from the state shown, with little blur."
+        able = shown is None or present is None or can_take(shown.optics, present)
+        if running:
+            tip = "The fit goes on from the state shown."
+        why = sentence(self._of_other_size or ("" if able else _UNABLE))
+        self.go_on_button.setEnabled(not why)
+        self.go_on_button.setToolTip(as_tip(why or tip))
+        text = ""
         if shown is not None:
             text = f"iteration {shown.iteration}"
             if isfinite(shown.loss):
                 text += f", {explained(shown.loss):.1f}% explained"
             if shown.note:
                 text += f": {shown.note}"
+            if not able:
+                text += f". {_UNABLE}."
         self.note.say(text)
