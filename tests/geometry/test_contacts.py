@@ -60,3 +60,25 @@ def test_labels_without_neighbours_have_no_contacts():
     pairs, faces = label_contacts(np.zeros((3, 3, 3), int))
     assert pairs.shape == (0, 2)
     assert faces.shape == (0,)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int32, np.uint64, np.int64])
+@pytest.mark.parametrize("largest", [5, 3000])
+def test_label_contacts_of_any_numbers(kind, largest):
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 6, (7, 8, 9))
+    if largest > 5:
+        if kind is np.uint8:
+            largest = 250
+        labels[labels == 5] = largest
+    expected = {}
+    for axis in range(3):
+        moved = np.moveaxis(labels, axis, 0)
+        for a, b in zip(moved[:-1].ravel().tolist(), moved[1:].ravel().tolist(), strict=True):
+            if a and b and a != b:
+                pair = min(a, b), max(a, b)
+                expected[pair] = expected.get(pair, 0) + 1
+    pairs, faces = label_contacts(labels.astype(kind))
+    assert [tuple(pair) for pair in pairs.tolist()] == sorted(expected)
+    assert faces.tolist() == [expected[pair] for pair in sorted(expected)]
+    assert pairs.dtype == faces.dtype == np.int64

@@ -1,5 +1,6 @@
 """Cells corrected by clicks: split, added, merged, removed, undone."""
 
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -47,6 +48,26 @@ def joined(seeds, viewer, scene):
 @pytest.fixture
 def apart(seeds, viewer, scene):
     return viewer.add_labels(scene[1].copy(), name="labels", **PLACE)
+
+
+def test_no_click_reads_the_image_on_the_main_thread(seeds, apart, click, monkeypatch):
+    read, threads = seeds._image.under, []
+
+    def under(layer):
+        frame, pixels = read(layer)
+
+        def noted():
+            threads.append(threading.current_thread())
+            return pixels()
+
+        return frame, noted
+
+    monkeypatch.setattr(seeds._image, "under", under)
+    click("remove", LEFT)
+    click("remove", RIGHT)
+    assert not apart.data.any()
+    assert len(threads) == 1  # once for all clicks
+    assert threads[0] is not threading.main_thread()
 
 
 @pytest.fixture

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from .mesh import OUTSIDE, IntArray, Mesh
 from .pairs import unique_pairs
 
+# Pairs of numbers, which are counted by number rather than sorted; chosen: a table of 32 MB.
+_MANY = 4_000_000
+
 Pair = tuple[int, int]  # two regions, the smaller number first
 
 
@@ -60,10 +63,20 @@ def label_contacts(labels: NDArray[np.integer]) -> tuple[IntArray, IntArray]:
 
     Background (0) is no label.
     """
-    met = []
+    smaller, larger = [], []
     for axis in range(labels.ndim):
-        moved = np.moveaxis(labels, axis, 0)
-        beside = np.stack([moved[:-1].ravel(), moved[1:].ravel()], axis=1)
-        met.append(beside[(beside[:, 0] != beside[:, 1]) & (beside > OUTSIDE).all(axis=1)])
-    pairs, row = unique_pairs(np.sort(np.concatenate(met).astype(np.int64), axis=1))
-    return pairs, np.bincount(row, minlength=len(pairs)).astype(np.int64)
+        before, after = ((slice(None),) * axis + (s,) for s in (slice(None, -1), slice(1, None)))
+        one, other = labels[before], labels[after]
+        meet = one != other
+        meet &= np.minimum(one, other) > OUTSIDE
+        a, b = one[meet], other[meet]
+        smaller.append(np.minimum(a, b))
+        larger.append(np.maximum(a, b))
+    low, high = (np.concatenate(side).astype(np.int64) for side in (smaller, larger))
+    several = int(high.max(initial=0)) + 1
+    if several**2 > _MANY:
+        pairs, row = unique_pairs(np.stack([low, high], axis=1))
+        return pairs, np.bincount(row, minlength=len(pairs)).astype(np.int64)
+    faces = np.bincount(low * several + high)
+    found = np.flatnonzero(faces)
+    return np.stack(np.divmod(found, several), axis=1).astype(np.int64), faces[found]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..geometry import Mesh
 from ..geometry.contacts import contacts, label_contacts
 from ..geometry.mesh import OUTSIDE
+from ..runs.seed_checks import voxels_of
 
 # Bright on grey, and far from each other also for the colour-blind.
 COLOURS = (
@@ -67,8 +68,7 @@ def label_indices(labels: NDArray[np.integer]) -> dict[int, int]:
     few = np.asarray(labels)[::step, ::step, ::step]
     walls: dict[int, set[int]] = {}
     _join(walls, label_contacts(few)[0].tolist())
-    seen = np.unique(few)
-    return _chosen(seen[seen > 0].tolist(), walls, {})
+    return _chosen(sorted(voxels_of(few)), walls, {})
 
 
 def colour_of(region: int, indices: Mapping[int, int]) -> tuple[int, int, int]:

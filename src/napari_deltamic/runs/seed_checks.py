@@ -153,7 +153,9 @@ def voxels_of(labels: NDArray[Any]) -> dict[int, int]:
     if labels.max(initial=0) > labels.size:
         numbers, counts = np.unique(labels, return_counts=True)
     else:  # which is faster, but takes memory by the largest number
-        counts = np.bincount(labels.ravel().clip(0).astype(np.intp))
+        flat = labels.ravel()
+        flat = flat.clip(0) if labels.min(initial=0) < 0 else flat
+        counts = np.bincount(flat.astype(np.intp, copy=False))
         numbers = np.flatnonzero(counts)
         counts = counts[numbers]
     return {int(n): int(c) for n, c in zip(numbers, counts, strict=True) if n > 0}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,7 @@ class Corrections(QObject):
         bar.column.addWidget(self.count)
         self._first: Click | None = None  # of the two that are to be merged
         self._waiting: list[tuple[Any, list[Click]]] = []  # layers, and what is to be done there
-        self._corrector: Corrector | None = None
+        self._corrector: Callable[[], Corrector] | None = None
         self._corrector_of: tuple[Any, ...] = ()
         self._corrected: Any = None  # the array of the labels
         self._clicked_in: Any = None  # the layer whose cells the tool corrects
@@ -185,25 +186,21 @@ class Corrections(QObject):
         frame, read = self._image.under(layer)
         seeds = seeds_from_layer(layer, frame, (), spheres=False)
         assert isinstance(seeds, LabelSeeds)
-        work = partial(self._corrector_for(frame, read, layer.data).corrected, seeds.labels, clicks)
-        self.bar.hint.say("working ...")
-        self._background.ask(work, partial(self._show, layer, layer.data, seeds.labels))
-
-    def _corrector_for(
-        self, frame: Frame, read: Callable[[], NDArray[Any]], data: Any
-    ) -> Corrector:
         of = (self._image.layer, frame, tuple(self._viewer.dims.current_step[:-3]))
         # Cells that were found anew have another size; clicks change an array in place.
-        if self._corrector is None or data is not self._corrected or of != self._corrector_of:
-            self._corrector = Corrector(read(), frame.voxel_size)
-            self._corrector_of, self._corrected = of, data
-        return self._corrector
+        if self._corrector is None or layer.data is not self._corrected or of != self._corrector_of:
+            # In the thread, as to read a large image takes long; once for all clicks.
+            self._corrector = cache(lambda: Corrector(read(), frame.voxel_size))
+            self._corrector_of, self._corrected = of, layer.data
+        work = partial(_corrected, self._corrector, seeds.labels, clicks)
+        self.bar.hint.say("working ...")
+        self._background.ask(work, partial(self._show, layer, layer.data))
 
-    def _show(self, layer: Any, data: Any, before: Any, labels: NDArray[np.int32]) -> None:
+    def _show(self, layer: Any, data: Any, found: _Found) -> None:
         """Other labels for those that a layer had, if it still has that array."""
         self.bar.explain()
         if layer in self._viewer.layers and layer.data is data:  # not replaced meanwhile
-            _put(layer, labels, labels != before)
+            _put(layer, found.labels, found.changed)
             self.edited.emit()
         self.renew()
         self._next()
@@ -214,11 +211,25 @@ class Corrections(QObject):
         self._next()
 
 
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What clicks led to: labels, and the voxels that have other ones."""
+
+    labels: NDArray[np.int32]
+    changed: tuple[NDArray[np.intp], ...]
+
+
+def _corrected(corrector: Callable[[], Corrector], labels: Any, clicks: list[Click]) -> _Found:
+    """The work of clicks, in a thread."""
+    found = corrector().corrected(labels, clicks)
+    return _Found(found, np.nonzero(found != labels))
+
+
 def _more(tool: str, ndisplay: int) -> str:
     return _IN_3D if tool == "split" and ndisplay == 3 else ""
 
 
-def _put(layer: Any, labels: NDArray[np.int32], where: NDArray[np.bool_]) -> None:
+def _put(layer: Any, labels: NDArray[np.int32], where: tuple[NDArray[np.intp], ...]) -> None:
     """Set voxels of a layer, so that napari can undo it."""
     data, high = layer.data, int(labels.max(initial=0))
     fits = (
@@ -226,7 +237,7 @@ def _put(layer: Any, labels: NDArray[np.int32], where: NDArray[np.bool_]) -> Non
     )
     if not fits:  # a file, or a kind of number that is too small
         layer.data = np.array(data, np.int32)
-    layer.data_setitem(np.nonzero(where), labels[where])
+    layer.data_setitem(where, labels[where])
 
 
 def middle_on_ray(layer: Any, event: Any, frame: Frame) -> FloatArray | None:
