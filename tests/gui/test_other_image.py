@@ -328,7 +328,7 @@ def test_a_fit_of_a_region_that_fails_leaves_the_result_where_it_was(seeded, spi
         patch.setattr(put_together, "assemble", fail)
         seeded.start()
         spin(lambda: not seeded.doc.run.running)
-    assert "nothing can be made of this" in seeded.running.verdict.text()
+    assert "Nothing can be made of this" in seeded.footer.reason.text()
     assert (seeded.doc.link, seeded.doc.link.mesh) == (link, mesh)
     assert session.capture(seeded.parts)[0].result is None, "it is of another region"
     seeded.start()

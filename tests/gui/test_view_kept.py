@@ -50,6 +50,26 @@ def test_the_view_stays_when_the_voxel_size_is_typed(unscaled):
     np.testing.assert_allclose(after[1], before[1], atol=1e-4)
 
 
+def units(layer):
+    return {str(unit) for unit in layer.units[-3:]}
+
+
+def test_a_size_that_is_typed_is_in_um(unscaled):
+    """For napari as well: its scale bar said "2 pixel"."""
+    widget, viewer, layer = unscaled
+    widget.seeds.place.click()
+    viewer.layers["seeds"].add((3, 4, 5))
+    labels = viewer.add_labels(np.ones(SHAPE, int), name="labels")
+    assert units(layer) == {"pixel"}
+    widget.image.voxel_size._boxes[0].setValue(0.3)
+    for one in (layer, labels, viewer.layers["seeds"]):
+        assert units(one) == {"micrometer"}
+    assert viewer.layers.extent.units is not None  # they are all alike
+    widget.image.voxel_size._boxes[2].setValue(0.2)
+    assert tuple(layer.scale) == tuple(labels.scale) == (0.3, 1, 0.2)
+    assert widget.image.voxel_size.value() == (0.3, 1, 0.2)
+
+
 @pytest.fixture
 def movie(tmp_path, pixels):
     """The file of a series that notes its voxel size, as an image of ImageJ; and its voxels."""
@@ -66,6 +86,8 @@ def test_a_series_has_the_voxel_size_of_its_file(app, viewer, movie):
         layer = viewer.add_image(frames, scale=(5, 1, 1, 1), name="movie")
     widget = fit_widget.FitWidget(viewer)
     assert tuple(layer.scale) == pytest.approx((5, *SIZE))
+    assert units(layer) == {"micrometer"}
+    assert str(layer.units[0]) == "pixel"
     assert widget.image.voxel_size.value() == pytest.approx(SIZE)
     widget.close_links()
 

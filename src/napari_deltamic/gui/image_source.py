@@ -307,6 +307,10 @@ class ImageSource(LayerChoice):
         """Give the layer another scale along Z, Y, X; what lies on its voxels stays on them."""
         layer, others = self.layer, [x for x in self._viewer.layers if self._goes_along(x)]
         ratio = np.asarray(scale, float) / layer.scale[-3:]
+        if um_per_unit(layer) is None:  # someone has now said how large its voxels are
+            made = [x for x in self._viewer.layers if OWN in x.metadata]
+            for one in (layer, *others, *made):
+                _in_um(one)
         rescale(self._viewer, layer, (*layer.scale[:-3], *np.asarray(scale, float)))
         for other in others:
             first = layer.translate[-3:]
@@ -401,6 +405,12 @@ def _large_enough(box: Box) -> Box:
     if min(b - a for a, b in box) < _SMALLEST:
         raise InputError(f"the region must be {_SMALLEST} voxels wide along each axis")
     return box
+
+
+def _in_um(layer: Any) -> None:
+    """Lengths of a layer without a unit are um; napari draws none where some are and some not."""
+    if layer.ndim >= 3 and um_per_unit(layer) is None:
+        layer.units = (*layer.units[:-3], *(("um",) * 3))
 
 
 def _unmoved(layer: Any) -> bool:
