@@ -6,7 +6,7 @@ import pytest
 from napari_deltamic import GaussianPSF
 from napari_deltamic.evidence.residual import Spot
 from napari_deltamic.evidence.unseeded_objects import strays
-from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry import Mesh, sphere
 
 OPTICS = GaussianPSF((0.3, 0.2, 0.2))
 
@@ -38,3 +38,18 @@ def test_neither_dark_places_nor_those_of_a_surface_count(cell):
     dark, near = spot((3, 3, 8), -9.0), spot((3, 3, 4.3))
     assert strays([dark, near], cell, OPTICS) == ()
     assert strays([], cell, OPTICS) == ()
+
+
+def test_what_is_bright_within_a_cell_is_no_other_cell():
+    """The chromatin of a nucleus."""
+    nuclei = Mesh.merge([sphere((5.0, 5.0, x), 3.0, edge_length=0.6) for x in (5.0, 14.0)])
+    chromatin = [spot((5, 5, 5), 20.0), spot((5.5, 4.5, 14)), spot((4, 5, 13.7))]
+    assert strays(chromatin, nuclei, OPTICS) == ()
+    (found,) = strays([*chromatin, spot((5, 14, 5))], nuclei, OPTICS)
+    assert found.position == (5, 14, 5)
+
+
+def test_things_around_a_cell_are_told_where_one_of_them_is(cell):
+    around = [spot((3, 3, 1.0), 9.0), spot((3, 3, 5.0), 8.0), spot((3, 1, 3)), spot((3, 5, 3))]
+    for stray in strays([*around, spot((1, 3, 3)), spot((5, 3, 3))], cell, OPTICS):
+        assert np.linalg.norm(np.subtract(stray.position, 3)) > 1

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial import cKDTree
 
+from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from .residual import Spot
@@ -55,7 +57,9 @@ class Stray:
 
 
 def strays(spots: Sequence[Spot], mesh: Mesh, optics: Optics) -> tuple[Stray, ...]:
-    """The bright things among the places of a residual that no surface lies near.
+    """The bright things among the places of a residual that no surface lies near, or around.
+
+    What is bright within a cell, such as the chromatin of a nucleus, is the cell's.
 
     Parameters
     ----------
@@ -72,7 +76,7 @@ def strays(spots: Sequence[Spot], mesh: Mesh, optics: Optics) -> tuple[Stray, ..
     sigma = np.asarray(optics.sigma_um)
     places = np.array([spot.position for spot in bright])
     near, _ = cKDTree(mesh.vertices_numpy() / sigma).query(places / sigma)
-    kept = np.flatnonzero(near > RULES.away)
+    kept = np.array([k for k in np.flatnonzero(near > RULES.away) if not _within(mesh, places[k])])
     if not len(kept):
         return ()
     regions = np.unique(mesh.regions[mesh.regions > 0]).tolist()
@@ -84,6 +88,15 @@ def strays(spots: Sequence[Spot], mesh: Mesh, optics: Optics) -> tuple[Stray, ..
     found = []
     for group in np.unique(groups):
         own = kept[groups == group]
-        z, y, x = places[own].mean(axis=0).tolist()
-        found.append(Stray((z, y, x), max(bright[k].z for k in own)))
+        brightest = max(own, key=lambda k: bright[k].z)
+        middle = places[own].mean(axis=0)
+        # A click goes there: between things around a cell lies the cell.
+        z, y, x = (places[brightest] if _within(mesh, middle) else middle).tolist()
+        found.append(Stray((z, y, x), bright[brightest].z))
     return tuple(sorted(found, key=lambda stray: -stray.z)[: RULES.most])
+
+
+def _within(mesh: Mesh, place: NDArray[np.float64]) -> bool:
+    """Whether a place (3,) um lies in a cell."""
+    z, y, x = place.tolist()
+    return bool(voxel_labels(mesh, (1, 1, 1), (1.0, 1.0, 1.0), (z, y, x)).any())
