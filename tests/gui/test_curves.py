@@ -29,4 +29,4 @@ def test_the_history_tells_it_too(make_widget, monkeypatch):
     monkeypatch.setattr(Document, "timeline", Timeline(moments))
     bar.update_moments()
     bar.slider.setValue(0)
-    assert bar.note.text() == "iteration 1, 70.0% explained"
+    assert bar.note.text() == "iteration 1, match 70.0%"

@@ -285,6 +285,7 @@ def test_remaining_time_is_told_where_it_is_known(begun, spin, monkeypatch):
         begun.stop()
         spin(lambda: not begun.doc.run.running)
     assert "left" not in progress_text(10, 3.0, None)
+    assert progress_text(1, 3.0, None) == "1 iteration, 3 a second"
     assert progress_text(10, 0.25, None).endswith("0.2 a second")
     assert [forecast_text(s) for s in (1, 20, 100, 4000, 9000)] == [
         "a second",

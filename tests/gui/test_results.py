@@ -16,6 +16,7 @@ from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import files, sphere
+from napari_deltamic.gui.cell_table import why_of
 from napari_deltamic.gui.results import more_actions
 from napari_deltamic.gui.viewing.colours import BY_VALUE, region_colours
 from napari_deltamic.gui.viewing.frame import OWN, camera_of
@@ -287,6 +288,10 @@ def test_what_is_to_be_said_of_the_cell_chosen_is_said(widget):
     results.table.show_rows(rows)
     results.table.choose([3])
     assert results.why.text() == "It is dim (see Corrections)."
+    row = {"grade": "fair", "note": "it is dim; no pressure: it touches no other cell"}
+    assert why_of(row) == "it is dim. Note: no pressure: it touches no other cell"
+    assert why_of({"note": "no pressure: no"}) == "Note: no pressure: no"
+    assert why_of({}) == ""
     results.table.choose([7])
     assert results.why.isHidden()
     results.table.choose([3, 7])

@@ -62,7 +62,7 @@ def test_frames_come_back_as_they_were(widget, viewer, series, spin, reopened_he
     np.testing.assert_array_equal(viewer.layers["movie: tracks"].data, paths)
     assert viewer.dims.current_step[0] == 1
     assert other.tracking.frame.text().startswith("time 1: 1 cell")
-    assert "4 frames tracked" in other.tracking.verdict.text()
+    assert "4 time points tracked" in other.tracking.verdict.text()
     other.tracking.save(str(tmp_path))
     assert [r.frame for r in read_results(tmp_path)] == [0, 1, 2, 3]
 
@@ -79,7 +79,7 @@ def test_what_was_stopped_goes_on_after_reopening(widget, spin, slow, reopened_h
     other.tracking.go_on_button.click()
     spin(ended(other), 60)
     assert [r.frame for r in other.tracking.results] == [0, 1, 2, 3]
-    assert other.tracking.verdict.text().startswith("4 frames tracked")
+    assert other.tracking.verdict.text().startswith("4 time points tracked")
 
 
 @pytest.mark.slow

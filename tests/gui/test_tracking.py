@@ -46,7 +46,7 @@ def test_the_panel_is_there_for_images_over_time_only(make_widget, with_image, s
 def test_one_click_gives_a_surface_over_time(widget, viewer, series, spin):
     widget.tracking.track_button.click()
     spin(ended(widget), 60)
-    assert "4 frames tracked" in widget.tracking.verdict.text()
+    assert "4 time points tracked" in widget.tracking.verdict.text()
     surface = viewer.layers["movie: tracked surfaces"]
     vertices, _, values = surface.data
     assert tuple(surface.scale) == (5, 1, 1, 1)
@@ -87,7 +87,7 @@ def test_the_worst_frame_is_told_and_led_to(widget, viewer, spin, monkeypatch):
     assert shown.worst_button.isHidden()
     spin(ended(widget), 60)
     assert shown.verdict.verdict == "fair"
-    assert "4 frames tracked" in shown.verdict.text()
+    assert "4 time points tracked" in shown.verdict.text()
     assert shown.verdict.text().endswith("worst at time 2: fair, the surface still moves")
     assert shown.frame.text().startswith("time 3: 1 cell; good, off by 30 nm")
     shown.worst_button.click()
@@ -175,7 +175,7 @@ def test_stop_keeps_the_frames_that_are_done_and_go_on_tracks_the_rest(
     assert "of 4" in widget.footer.message.text()
     widget.footer.stop_button.click()
     spin(ended(widget))
-    assert widget.tracking.verdict.text().startswith("stopped (2 frames are kept")
+    assert widget.tracking.verdict.text().startswith("stopped (2 time points kept")
     assert set(viewer.layers["movie: tracked surfaces"].data[0][:, 0]) == {0, 1}
     assert widget.footer.run_button.isEnabled()
     slow += [1] * 4
@@ -202,7 +202,7 @@ def test_a_bad_frame_is_told_and_skipped(widget, viewer, spin, told):
 def test_what_is_missing_is_said(widget, viewer, told):
     viewer.dims.set_current_step(0, 3)
     widget.tracking.start()
-    assert "last frame" in told[-1]
+    assert "last time point" in told[-1]
     viewer.dims.set_current_step(0, 0)
     viewer.layers["seeds"].data = np.zeros((0, 3))
     widget.tracking.start()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..common.triple import Triple
+from ..common.words import counted
 from ..geometry.mesh import Mesh
 from .fitted import Fitted
 from .growth_alarm import GrowthAlarm, shrunken, told_shrunken, why_stuck
@@ -79,7 +80,8 @@ def verdict(
     cells, explained = len(mesh.region_ids()), 1 - min(found.loss, 1)
     stuck = why_stuck(explained, found.bounded, points, cells) if finished else ""
     message = stuck or ("converged" if finished else "")
-    message = message or f"stopped after {iteration} iterations, before it converged"
+    after = f"stopped after {counted(iteration, 'iteration')}"
+    message = message or f"{after}, before it converged"
     further = "" if stuck else told_shrunken(points)
     if finished and not stuck and moving is not None:
         z, y, x = moving

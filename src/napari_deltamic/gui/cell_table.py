@@ -34,6 +34,7 @@ from .window_words import as_tip, for_window
 _REGION = Qt.ItemDataRole.UserRole
 _OPEN = "The surface of this cell is not closed, or inside out."
 _BEFORE = ("explained", "grade")  # come first, as a narrow dock shows few: the last one before all
+_EMPTY = ("no volume: ", "no curvature: ", "no pressure: ")  # of ``measure.all_cells``
 _WHY = {"explained": "Nothing near this cell varies by more than noise."}
 
 
@@ -252,16 +253,25 @@ def _cell(
         item.setData(Qt.ItemDataRole.DecorationRole, QColor(*colour_of(region, colours)))
         item.setData(_REGION, region)
     elif value is None and column.key in row:
-        item.setToolTip(as_tip(why_of(row) or _WHY.get(column.key, _OPEN)))
+        note = for_window(str(row.get("note") or ""))
+        item.setToolTip(as_tip(note or _WHY.get(column.key, _OPEN)))
     elif isinstance(value, str):
-        why = why_of(row) if column.key == "grade" else ""
+        why = "; ".join(_notes(row)[0]) if column.key == "grade" else ""
         item.setToolTip(as_tip(why or value))
     return item
 
 
 def why_of(row: Mapping[str, Any]) -> str:
-    """What there is to say of a cell; '' for nothing."""
-    return for_window(str(row.get("note") or ""))
+    """What there is to say of a cell; '' for nothing. First why its grade is no better."""
+    why, empty = ("; ".join(part) for part in _notes(row))
+    return ". ".join(filter(None, (why, f"Note: {empty}" if empty else "")))
+
+
+def _notes(row: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """What a row says of its cell, and of its columns that are empty: no reasons for a grade."""
+    parts = [part for part in for_window(str(row.get("note") or "")).split("; ") if part]
+    empty = [part for part in parts if part.startswith(_EMPTY)]
+    return [part for part in parts if part not in empty], empty
 
 
 def _exact(value: Any) -> str:

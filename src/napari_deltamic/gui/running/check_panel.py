@@ -334,9 +334,10 @@ class ExplainedCurve(QWidget):
         self.setMinimumSize(80, 84)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setToolTip(
-            "<qt>Share of the signal near the surfaces that the cells explain, noise included, "
-            "over the iterations. Each line is a level: as the image gets sharper it also gets "
-            "noisier, so each new line starts lower.</qt>"
+            "<qt>How closely the rendered image matches the measured one near the surfaces, over "
+            "the iterations. Nothing can match noise, so it ends below 100% even where the cells "
+            "explain all of the signal. Each line is a level: as the image gets sharper it also "
+            "gets noisier, so each new line starts lower.</qt>"
         )
 
     def show_losses(self, loss: Sequence[float], level: Sequence[int], first: int = 1) -> None:
@@ -366,7 +367,9 @@ class ExplainedCurve(QWidget):
         painter.setPen(QPen(faint, 1))
         painter.drawRect(area)
         painter.setPen(ink)
-        painter.drawText(QPointF(4, _OVER_CURVE - 5.0), f"explained, noise included  {self.text}")
+        painter.drawText(
+            QPointF(4, _OVER_CURVE - 5.0), f"match with the image and its noise  {self.text}"
+        )
         if any(len(line.x) > 1 for line in self.lines):
             self._draw(painter, area, faint, ink)
         painter.end()

@@ -122,7 +122,7 @@ class Footer(QWidget):
         done, rate = len(run.history.loss), snapshot.iterations_per_second
         self._iterations, self._since = done, time.monotonic()
         self._long = max(_LONG, _USUAL / rate if rate > 0 else 0.0)
-        stands = f"paused after {done} iterations"
+        stands = f"paused after {counted(done, 'iteration')}"
         self.message.say(stands if run.paused else progress_text(done, rate, left))
 
     def _advance(self, done: int, of: int, text: str = "%p%") -> None:
@@ -148,7 +148,7 @@ class Footer(QWidget):
 
 def progress_text(iterations: int, rate: float, remaining: float | None) -> str:
     """Iterations done, how many a second, and the time that remains, in words."""
-    text = f"{iterations} iterations, {rate:.{0 if rate >= 2 else 1}f} a second"
+    text = f"{counted(iterations, 'iteration')}, {rate:.{0 if rate >= 2 else 1}f} a second"
     return text if remaining is None else f"{forecast_text(remaining)} left; {text}"
 
 

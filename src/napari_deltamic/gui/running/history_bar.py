@@ -165,7 +165,7 @@ class HistoryBar(QWidget):
         if shown is not None:
             text = f"iteration {shown.iteration}"
             if isfinite(shown.loss):
-                text += f", {explained(shown.loss):.1f}% explained"
+                text += f", match {explained(shown.loss):.1f}%"
             if shown.note:
                 text += f": {shown.note}"
             if not able:

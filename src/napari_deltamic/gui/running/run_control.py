@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...accuracy.experience import Learned
 from ...accuracy.forecast import Forecast
 from ...accuracy.outlook import Forecaster, expected
-from ...common.words import duration
+from ...common.words import counted, duration
 from ...errors import InputError
 from ...fitting import Change, FitState
 from ...fitting.by_hand import changed_by_hand
@@ -165,7 +165,7 @@ class RunControl:
         doc.said.emit("")
         text, *remarks = outcome.message.split("\n")
         if state is not None:
-            done = "" if "iterations" in text else f"{state.iteration} iterations, "
+            done = "" if "iteration" in text else f"{counted(state.iteration, 'iteration')}, "
             text += f" ({done}{duration(run.seconds)})"
         if outcome.verdict == "failed" and state is not None:
             doc.warned.emit(outcome.message)

@@ -44,19 +44,19 @@ class TrackPanel(QGroupBox):
         self._seeds: list[Any] = []  # layers that the run started from
         self._frame = 0  # whose cells the table has
         tip = (
-            "Fit the frame shown from the seeds, and every later frame from the one before. Cells "
+            "Fit the time shown from the seeds, and every later one from the one before. Cells "
             "keep their numbers."
         )
         self.track_button = button("Track", tip, self.start, self)
-        tip = "Go on after the last frame that was tracked."
+        tip = "Go on after the last time that was tracked."
         self.go_on_button = button("Go on", tip, self.go_on, self)
         form = Form(TrackSettings, ("divisions",), self)
         self.divisions = form.fields["divisions"]
         self.verdict, self.frame = Note(self, style="font-weight: bold;"), QLabel(self)
         self.frame.setWordWrap(True)
         self.table = CellTable(self)
-        tip = "A mesh for each frame, tracks.csv, surface.npz, report.json and run.toml."
-        self.save_button = button("Save all frames...", tip, self._ask_folder, self)
+        tip = "A mesh for each time, tracks.csv, surface.npz, report.json and run.toml."
+        self.save_button = button("Save all times...", tip, self._ask_folder, self)
         tip = "Move to that time, and to where the surface still moves."
         self.worst_button = button("", tip, self.go_to_worst, self)
         buttons = row(self.track_button, self.go_on_button, form)
@@ -98,7 +98,7 @@ class TrackPanel(QGroupBox):
         """Write what the command line would. InputError if it cannot be written."""
         work, results = self.work, self.results
         if work is None or work.job is None or not results:
-            raise InputError("there are no frames to save")
+            raise InputError("there is no time point to save")
         for result in results:
             write_frame(folder, result)
         write_tracks(folder, results, work.job.grid, work.settings, work.seconds)
@@ -132,7 +132,7 @@ class TrackPanel(QGroupBox):
         work.job, work.seconds, work.running = job, tracks.seconds, False
         self.divisions.setChecked(tracking.divisions)
         self._show_in(image.layer, frame).show(tracks.results)
-        self._end("done", f"{len(tracks.results)} frames tracked")
+        self._end("done", f"{counted(len(tracks.results), 'time point')} tracked")
 
     def _let_go(self) -> None:
         """The window is closed."""
@@ -149,9 +149,9 @@ class TrackPanel(QGroupBox):
         data = data_of(layer)
         first, stop = int(self._doc.viewer.dims.current_step[-4]), len(data)
         if stop < 2:
-            raise InputError("tracking needs two frames or more; the image has one")
+            raise InputError("tracking needs two time points or more; the image has one")
         if stop - first < 2:
-            raise InputError("this is the last frame: move to an earlier one, or run a fit")
+            raise InputError("this is the last time point: move to an earlier one, or run a fit")
         seeds = self._doc.cells.seeds(frame)
         settings = self._settings(seeds, first, float(layer.scale[-4]))
         images, grid = Frames(data, frame.box), frame.grid(image.shape())
@@ -218,7 +218,8 @@ class TrackPanel(QGroupBox):
         work = self.work
         self._work_changed()
         if work is not None and work.results:
-            kept = "" if verdict == "done" else f"{len(work.results)} frames are kept, "
+            n = len(work.results)
+            kept = "" if verdict == "done" else f"{counted(n, 'time point')} kept, "
             text += f" ({kept}{duration(work.seconds)})"
         self._show_worst(text, verdict)
         self._show_frame()
@@ -279,7 +280,7 @@ class TrackPanel(QGroupBox):
             self.layers.go_to(self._frame, self.table.center(regions[-1]))
 
     def _ask_folder(self) -> None:
-        folder = QFileDialog.getExistingDirectory(self, "Folder for the frames")
+        folder = QFileDialog.getExistingDirectory(self, "Folder for all times")
         if folder:
             self._doc.attempt(partial(self.save, folder))
 

@@ -9,6 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ...common.doing import listening
+from ...common.words import counted
 from ...fitting.job import FitInput
 from ...results.judged import judged_frame
 from ...results.timeline import explained
@@ -124,7 +125,8 @@ class TrackWork(Task):
             if state.done is not None:
                 result, last, number = state.done, state.last_fit, state.done.frame
                 if last is not None:
-                    self.stage = f"frame {number - self.frames.start + 1} of {count}: judging it"
+                    place = number - self.frames.start + 1
+                    self.stage = f"time {number} ({place} of {count}): judging it"
                     result = judged_frame(result, last, job, self.images[number], before)
                     before = last.mesh
                 self.results.append(result)
@@ -132,12 +134,13 @@ class TrackWork(Task):
                 number = state.frame - self.frames.start
                 self.share = (number + (fit.level - 1) / max(fit.levels, 1)) / count
                 self.stage = (
-                    f"frame {number + 1} of {count}: level {fit.level} of {fit.levels}, "
-                    f"{explained(fit.loss):.1f}% explained"
+                    f"time {state.frame} ({number + 1} of {count}): "
+                    f"level {fit.level} of {fit.levels}, "
+                    f"match {explained(fit.loss):.1f}%"
                 )
             yield
         left_out = sum(result.mesh is None for result in self.results)
-        text = f"{len(self.results)} frames tracked"
+        text = f"{counted(len(self.results), 'time point')} tracked"
         if left_out:
             text += f", {left_out} of them skipped"
         return Outcome("done", text)
