@@ -79,8 +79,9 @@ def outlook(scene: SceneNow) -> Outlook:
     settings = scene.settings.model_copy(update=found)
     effects = scene.scene.effects
     start = rough_surfaces(scene.seeds, scene.grid, scene.known)
-    given = scene.grid, start.mesh, scene.optics, settings
-    expected = forecast(pixels, *given, None, effects, known, start.touching)
+    expected = forecast(
+        pixels, scene.grid, start.mesh, scene.optics, settings, None, effects, known, start.touching
+    )
     return Outlook(noise, accuracy, expected)
 
 

@@ -92,8 +92,17 @@ def run_headless(sample: Sample, folder: Path) -> None:
     job = FitInput(settings, sample.image, sample.grid, mesh, psf, None)
     left = analyse_residual(sample.image, sample.grid, state)
     found = verdict_of(job, state, left)
-    given = state, sample.image, sample.grid, settings, history, seconds
-    paths = write_results(folder, *given, explained=left.shares(), verdict=found)
+    paths = write_results(
+        folder,
+        state,
+        sample.image,
+        sample.grid,
+        settings,
+        history,
+        seconds,
+        explained=left.shares(),
+        verdict=found,
+    )
     print(f"shapes: {found.sentence()}")
     for line in summary(sample, state, seconds):
         print(line)

@@ -146,8 +146,9 @@ def _light(job: FitInput, state: FitState, left: Residual, images: _Images) -> _
     if light.interior < 0:
         found["medium"] = dark_insides_shown(place, images.seen, images.shown, everywhere)
     if light.interior > 0 and not light.membrane:
-        given = images.seen, images.shown, state.background
-        found["left_out"] = left_out(state.mesh, job.grid, state.optics, *given)
+        found["left_out"] = left_out(
+            state.mesh, job.grid, state.optics, images.seen, images.shown, state.background
+        )
     return found
 
 

@@ -42,8 +42,13 @@ class FittedScene(Scene):
         if mesh is None:
             mesh, density = state.mesh, state.density
         uniform = density is None or np.ptp(density) == 0
-        given = mesh, state.optics.detach(), effects, None if uniform else density
-        found = cls.of(*given, insides=state.light.interior != 0)
+        found = cls.of(
+            mesh,
+            state.optics.detach(),
+            effects,
+            None if uniform else density,
+            insides=state.light.interior != 0,
+        )
         return replace(found, light=state.light).scaled(state.amplitude, state.background)
 
     def scaled(self, amplitude: float, background: float) -> FittedScene:

@@ -170,13 +170,13 @@ def doubts(
 
 def tell_doubts(job: FitInput) -> tuple[Doubt, ...]:
     """The doubts about what a fit is to work on, each also as a DoubtWarning."""
-    given = (
+    found = doubts(
         levelled(np.asarray(job.image), job.grid, job.settings.scene.effects),
         job.grid.voxel_size,
         job.mesh,
         job.grid.origin,
+        close=job.kind != "rough",
     )
-    found = doubts(*given, close=job.kind != "rough")
     for doubt in found:
         warnings.warn(doubt.sentence, DoubtWarning, stacklevel=2)
     return found

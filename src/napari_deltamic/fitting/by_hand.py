@@ -48,8 +48,17 @@ def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
     amplitude, background = state.amplitude, state.background
 
     def rendered() -> NDArray[np.float32]:
-        given = mesh, grid, optics, settings.fit.image_accuracy, amplitude, background
-        return expected_image(*given, density=density, effects=state.effects, light=state.light)
+        return expected_image(
+            mesh,
+            grid,
+            optics,
+            settings.fit.image_accuracy,
+            amplitude,
+            background,
+            density=density,
+            effects=state.effects,
+            light=state.light,
+        )
 
     return replace(
         state,

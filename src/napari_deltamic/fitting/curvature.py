@@ -201,8 +201,13 @@ class Curvature:
         follow = np.linalg.solve(self._followers, -pull - self._mixed @ step)
         rest = follow[len(pull) - len(imaging) :]
         moved = self.directions.displaced(self._free * step)
-        still = np.zeros_like(gradient.density), np.zeros_like(gradient.insides)
-        return Variables(moved, *still, rest[:n], rest[n:])
+        return Variables(
+            moved,
+            np.zeros_like(gradient.density),
+            np.zeros_like(gradient.insides),
+            rest[:n],
+            rest[n:],
+        )
 
 
 def _insides(light: Light) -> list[Light]:
@@ -223,8 +228,7 @@ def _too_much(colouring: Colouring, posterior: Posterior) -> str:
 def _colouring(
     posterior: Posterior, at: Variables, mesh: Mesh, directions: Directions
 ) -> Colouring:
-    given = at.vertices, mesh.edges(), widest_psf(posterior)
-    return Colouring.of(*given, directions.vertex)
+    return Colouring.of(at.vertices, mesh.edges(), widest_psf(posterior), directions.vertex)
 
 
 def _scale(image: FloatArray, measured: FloatArray, weight: FloatArray) -> tuple[float, float]:

@@ -145,8 +145,9 @@ def dark_insides_shown(
     counted
         (Z, Y, X) bool: the voxels that may be read.
     """
-    given = counted, np.inf
-    measured, modelled = (deep_brightness(cells, image, *given) for image in (seen, rendered))
+    measured, modelled = (
+        deep_brightness(cells, image, counted, np.inf) for image in (seen, rendered)
+    )
     return {
         region: measured[region] / level
         for region, level in modelled.items()

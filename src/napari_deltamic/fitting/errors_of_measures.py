@@ -56,5 +56,14 @@ def posed_at(
     shape = Shape.begun(state.mesh, settings.density).moved(state.mesh.vertices_numpy(), log)
     optics = state.optics.detach()
     imaging = Imaging(optics, state.effects, optics, settings.fit_psf, True, level.range)
-    posed = (level, None), shape, density, imaging, False, True, ()
-    return pose(*posed, structure_of(state.light), state.light, state.dimmed)
+    return pose(
+        (level, None),
+        shape,
+        density,
+        imaging,
+        density_fitted=False,
+        tempered=True,
+        structure=structure_of(state.light),
+        shone=state.light,
+        dimmed=state.dimmed,
+    )

@@ -250,8 +250,9 @@ class Objective:
 
     def structure(self) -> Chosen:
         """What the image says that shines, of what may."""
-        given = self.posed.posterior, self._descent.at, self.now, self.fitted.mesh
-        return chosen(*given, self._sharpened)
+        return chosen(
+            self.posed.posterior, self._descent.at, self.now, self.fitted.mesh, self._sharpened
+        )
 
     def _sharpened(self) -> bool:
         """Whether the image was deconvolved; a blurred one does not tell."""
@@ -265,8 +266,8 @@ class Objective:
         """Whether insides are darker than the medium, and the image shows that of few of them."""
         if self.now.light.interior >= 0:
             return False
-        images = (*self._seen_and_shown(), self.terms.level.counted.cpu().numpy())
-        shares = list(dark_insides_shown(self._cells(), *images).values())
+        counted = self.terms.level.counted.cpu().numpy()
+        shares = dark_insides_shown(self._cells(), *self._seen_and_shown(), counted).values()
         return bool(shares) and median(shares) < DEEP.shown
 
     def deep_brightness(self) -> float | None:
@@ -317,7 +318,8 @@ class Objective:
         free = (self._guard.held < schedule.held)[:, None]
         gradient = free * self.now.gradient.vertices
         normals = vertex_normals(at.vertices, self.fitted.mesh.faces)
-        given = normals, free * step.vertices, gradient
-        found = self._patches.worst(*given, tolerance, schedule.gain)
+        found = self._patches.worst(
+            normals, free * step.vertices, gradient, tolerance, schedule.gain
+        )
         drifted = ((at.vertices - self._passed[0]) * normals).sum(1)
         return replace(found, drift=float(np.sqrt((drifted**2).mean())))

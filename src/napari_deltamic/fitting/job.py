@@ -153,8 +153,9 @@ def assemble(
     doing("finding which voxels belong to the cells")
     ground = counted_around if kind == "rough" else counted_voxels
     counted = ground(level, grid, mesh, optics)
-    given = settings, image, grid, mesh, optics, counted, second, kind
-    return FitInput(*given, predicted=wanted.predicted)
+    return FitInput(
+        settings, image, grid, mesh, optics, counted, second, kind, predicted=wanted.predicted
+    )
 
 
 def start(

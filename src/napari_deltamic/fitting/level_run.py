@@ -88,8 +88,7 @@ class LevelRun:
         if went and not self._undone() and self.usable:
             self._look_for_rivals()
         at = self.at
-        given = at.fitted, at.settings, at.stage.iteration
-        self._go_on_with(self._context.upkeep.end_level(*given))
+        self._go_on_with(self._context.upkeep.end_level(at.fitted, at.settings, at.stage.iteration))
         stage = replace(self.at.stage, level_number=at.stage.level_number + 1)
         return LevelRun(self._context, replace(self.at, stage=stage))
 
@@ -116,8 +115,9 @@ class LevelRun:
     def _look_for_rivals(self) -> None:
         """Go on with the best of what may shine, where the fit may be stuck."""
         at, start = self.at, self._context.untouched(self.at)
-        given = self.terms, self.objective, at.fitted, at.stage, start
-        fitted, taken = at.choice.beside_rivals(*given)
+        fitted, taken = at.choice.beside_rivals(
+            self.terms, self.objective, at.fitted, at.stage, start
+        )
         self.at = at.holding(fitted).spent(taken)
         if not np.array_equal(fitted.mesh.faces, at.fitted.mesh.faces):
             self._context.reporter.other_mesh(fitted.mesh)
@@ -134,8 +134,9 @@ class LevelRun:
         factor = at.levels[at.stage.level_number]
         # As wide as at the start, so that the voxels that count stay the same.
         spread = fitted.first_effects.spread
-        given = at.stage.blurred_for, at.settings, fitted.effects, factor, spread
-        self._level, self._second = self._context.problem.levels(*given)
+        self._level, self._second = self._context.problem.levels(
+            at.stage.blurred_for, at.settings, fitted.effects, factor, spread
+        )
 
     @property
     def terms(self) -> Terms:
@@ -195,8 +196,9 @@ class LevelRun:
         after_one = at.stage.progress.iterations > 0  # objective, at most
         if after_one and at.choice.density_waits(at.fitted):
             self.at = at.holding(at.fitted.with_density(at.settings.density))
-        given = self.at.fitted, at.settings, self._level.factor, at.stage.iteration
-        self._go_on_with(upkeep.rearranged(*given))
+        self._go_on_with(
+            upkeep.rearranged(self.at.fitted, at.settings, self._level.factor, at.stage.iteration)
+        )
         before = self.at.fitted
         after = upkeep.remeshed(before, at.settings)
         if after is not before:
@@ -256,8 +258,9 @@ class LevelRun:
         if too_soon:
             return False
         at = self.at
-        given = at.fitted, at.settings, self._level.factor, at.stage.iteration
-        changed = self._go_on_with(upkeep.tried(*given))
+        changed = self._go_on_with(
+            upkeep.tried(at.fitted, at.settings, self._level.factor, at.stage.iteration)
+        )
         self.due = changed or (self.due and not judging) or self._around_nuclei()
         return not self.due
 
@@ -273,8 +276,9 @@ class LevelRun:
     def _other_structure(self) -> bool:
         """Whether, at rest, something else shines than what had been clear on the way."""
         context, at, progress = self._context, self.at, self.at.stage.progress
-        given = self.terms, self.objective, at.fitted, context.factored, progress
-        fitted, taken, after = at.choice.asked_anew(*given, context.untouched(at))
+        fitted, taken, after = at.choice.asked_anew(
+            self.terms, self.objective, at.fitted, context.factored, progress, context.untouched(at)
+        )
         self.at = at.holding(fitted).spent(taken).progressed(after)
         if fitted is at.fitted:
             return False
@@ -304,8 +308,7 @@ class LevelRun:
         """
         at = self.at
         if at.choice.is_open(at.fitted) and at.stage.progress.answered:
-            given = self.terms, self.objective, self._context.factored
-            unsure, taken = insides_may_do(*given)
+            unsure, taken = insides_may_do(self.terms, self.objective, self._context.factored)
             unsure |= at.stage.progress.unsure  # of dark nuclei
             self.at = at.spent(taken).progressed(replace(at.stage.progress, unsure=unsure))
 
@@ -375,9 +378,17 @@ class LevelRun:
     def state(self, kept: Arrays) -> FitState:
         """Where the fit is; kept : its last checkpoint."""
         at, now = self.at, self.objective.now.match
-        place = self._context.problem.grid, len(at.levels), self._level.factor
-        accuracy = at.settings.image_accuracy
-        state = state_of(at.fitted, at.stage, now, self._densities(), *place, accuracy, kept)
+        state = state_of(
+            at.fitted,
+            at.stage,
+            now,
+            self._densities(),
+            self._context.problem.grid,
+            len(at.levels),
+            self._level.factor,
+            at.settings.image_accuracy,
+            kept,
+        )
         problem = self._context.problem
         return replace(state, counted=problem.counted) if problem.anew else state
 

@@ -124,8 +124,7 @@ class Look:
         widths = level.factor * np.asarray(self.imaging.optics.sigma_um)
         widths = widths / np.asarray(level.grid.voxel_size)
         index = voxels.index.cpu().numpy()
-        given = residual, index, level.grid.shape, tuple(widths)
-        variance = tempered_variance(*given, alone)
+        variance = tempered_variance(residual, index, level.grid.shape, tuple(widths), alone)
         return View(voxels, variance, alone / variance, optics)
 
     def with_density(
@@ -139,8 +138,7 @@ class Look:
         """With the brightness of the image where the surface lies."""
         found = self.found(voxels, rendered)
         inside = self.rendered(at, replace(light, membrane=0.0)) if light.interior else None
-        given = at.vertices, rendered, found, self.imaging.effects, inside
-        ratio = self.level.brightness(*given)
+        ratio = self.level.brightness(at.vertices, rendered, found, self.imaging.effects, inside)
         return replace(at, density=self.density.estimate(ratio, smoother))
 
     def evened(
@@ -218,9 +216,8 @@ class Look:
         image = level.target if added is None else level.target - added.to(level.target)
         own = (found.amplitude * rendered.to(image)).cpu().numpy()
         widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
-        masks = level.foreign, level.counted.cpu().numpy()
         left = image.cpu().numpy() - own - found.background
-        light = foreign_light(left, own, *masks, widths)
+        light = foreign_light(left, own, level.foreign, level.counted.cpu().numpy(), widths)
         if light is None:
             return voxels
         here = torch.from_numpy(light).to(voxels.measured)

@@ -118,8 +118,14 @@ class ModelChoice:
         """
         if self._asked_again(fitted, progress):
             one = self.levels == 1  # else the start is far, and rivals have been tried on the way
-            given = terms, objective, fitted, factored, start if one else None
-            found, taken, unsure = self._with_both_again(*given, HIDDEN.further if one else 0)
+            found, taken, unsure = self._with_both_again(
+                terms,
+                objective,
+                fitted,
+                factored,
+                start if one else None,
+                HIDDEN.further if one else 0,
+            )
             # Where a user asks for both, there is nothing to say: the other doubt is that of both.
             unsure = unsure and one and fitted.structure == "interior"
             return found, taken, replace(progress, again=True, unsure=unsure)

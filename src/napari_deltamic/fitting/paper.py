@@ -57,8 +57,9 @@ def as_in_the_paper(
     for iteration in range(1, settings.max_iterations + 1):
         if renderer is None or iteration % _PLAN_EVERY == 0:
             now = mesh.with_vertices(vertices.detach().numpy().copy())
-            given = Scene.of(now, optics), problem.grid, settings.image_accuracy
-            renderer = Renderer(*given, margin=2 * width)
+            renderer = Renderer(
+                Scene.of(now, optics), problem.grid, settings.image_accuracy, margin=2 * width
+            )
         optics = optics.with_parameters(numbers) if settings.fit_psf else optics
         image = renderer.image(renderer.transform(vertices), renderer.otf(optics))
         squares, found = match(image.reshape(-1)[index], measured, ones)
@@ -87,8 +88,9 @@ def _state(
     found: Match,
 ) -> FitState:
     def rendered() -> np.ndarray:
-        scale = settings.image_accuracy, found.amplitude, found.background
-        return expected_image(mesh, problem.grid, optics, *scale)
+        return expected_image(
+            mesh, problem.grid, optics, settings.image_accuracy, found.amplitude, found.background
+        )
 
     ends = iteration == settings.max_iterations
     return FitState(

@@ -84,8 +84,9 @@ def pose(
     volumes = np.array(list(shape.mesh.volumes().values()))
     cells = insides.numbers(shone, volumes)
     at = Variables(shape.mesh.vertices_numpy(), log, cells, *imaging.numbers())
-    given = shape.mesh, imaging.optics, imaging.effects
-    renderer = level.renderer(*given, insides=structure != "membrane")
+    renderer = level.renderer(
+        shape.mesh, imaging.optics, imaging.effects, insides=structure != "membrane"
+    )
     look = Look(level, renderer, density, insides, imaging, structure, shape.mesh, dimmed)
     voxels, light = look.voxels(at)
     widths = level.factor * np.asarray(imaging.optics.sigma_um)
@@ -107,10 +108,10 @@ def pose(
     stiffness = level.settings.bending
     width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
     walls = CellBending(shape.mesh) if structure == "interior" else BendingEnergy(shape.mesh, width)
-    bending = walls, JunctionBending(shape.mesh, width)
+    junctions = JunctionBending(shape.mesh, width)
 
     def posterior_of(insides: Insides, views: Sequence[View]) -> Posterior:
-        prior = Prior(*bending, stiffness, density, insides, imaging)
+        prior = Prior(walls, junctions, stiffness, density, insides, imaging)
         return Posterior(level, renderer, views, prior, density_fitted, structure)
 
     views, whole = list(held), voxels
@@ -127,8 +128,9 @@ def pose(
             whole = look.completed(voxels, rendered)
         plain, voxels = voxels, whole
         if level.factor == 1 and density.model != "uniform" and shone.interior > 0:
-            seen = at, light, rendered, look.found(whole, rendered)
-            voxels = look.evened(voxels, *seen, plain.weights)
+            voxels = look.evened(
+                voxels, at, light, rendered, look.found(whole, rendered), plain.weights
+            )
         found = look.found(voxels, rendered)
         views = [look.view(voxels, rendered, found, tempered)]
         if second is not None:

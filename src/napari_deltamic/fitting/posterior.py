@@ -106,16 +106,25 @@ class Posterior(Prediction):
         density_fitted: bool,
         structure: Structure = "membrane",
     ) -> None:
-        given = prior.density, prior.insides, prior.imaging, density_fitted, structure
-        super().__init__(level, renderer, views, *given)
+        super().__init__(
+            level,
+            renderer,
+            views,
+            prior.density,
+            prior.insides,
+            prior.imaging,
+            density_fitted,
+            structure,
+        )
         self._prior = prior
 
     def with_measured(self, measured: Tensor) -> Posterior:
         """The same with another first image, (N,) where voxels count; weights stay."""
         first, *others = self._views
         views = [replace(first, voxels=replace(first.voxels, measured=measured)), *others]
-        given = self._prior, self._density_fitted, self._structure
-        return Posterior(self._level, self._renderer, views, *given)
+        return Posterior(
+            self._level, self._renderer, views, self._prior, self._density_fitted, self._structure
+        )
 
     def __call__(self, at: Variables) -> Evaluation:
         """Value and gradient."""

@@ -112,8 +112,16 @@ class Refits:
         each = float(shape.mesh.areas().sum()) / len(shape.mesh.region_ids())
         wanted = RULES.patches * (2 * level.width) ** 2 / each
         self.draws = int(np.clip(np.ceil(wanted), 1, RULES.most_draws))
-        given = shape, level.smoothing, settings.bending, posed.firmness, level.width
-        self._metric = Metric(Preconditioners(), *given, NEAR_JUNCTIONS, False)
+        self._metric = Metric(
+            Preconditioners(),
+            shape,
+            level.smoothing,
+            settings.bending,
+            posed.firmness,
+            level.width,
+            NEAR_JUNCTIONS,
+            False,
+        )
         self._learnt: Learnt | None = None
         now = self._posterior(self._at)
         self._image = as_floats(view.voxels.of(now.rendered))

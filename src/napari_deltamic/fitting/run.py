@@ -165,8 +165,9 @@ class Run:
             left, found = at.stage.remaining, self.objective.now.match
             moves = left.moves(at.tolerance, self._context.schedule.gain)
             place = triple(at.fitted.mesh.vertices_numpy()[left.vertex]) if moves else None
-            given = at.fitted, found, finished, at.stage.iteration, place, message
-            message, finished = verdict(*given)
+            message, finished = verdict(
+                at.fitted, found, finished, at.stage.iteration, place, message
+            )
             state = replace(state, moving=place if finished else None)
         return replace(state, message=message, events=events, converged=ends and finished)
 
@@ -175,15 +176,30 @@ class Run:
     def again(self, optics: Optics, former: Run | None = None) -> Run:
         """A run from the same start with another PSF; former : what it is held against."""
         begun, effects = self._context.begun.mesh, self.fitted.first_effects
-        given = begun, optics, self._level.at.settings, effects
         stage, watch = self.stage.begun_anew(optics), self._context.watch
-        return Run(self._context.problem, *given, stage, former, watch)
+        return Run(
+            self._context.problem,
+            begun,
+            optics,
+            self._level.at.settings,
+            effects,
+            stage,
+            former,
+            watch,
+        )
 
     def on_ground(self, problem: Problem) -> Run:
         """A run from the same start with other voxels that count."""
         optics, effects = self.fitted.first_optics, self.fitted.first_effects
-        given = self._context.begun.mesh, optics, self._level.at.settings, effects
-        return Run(problem, *given, self.stage.begun_anew(optics), watch=self._context.watch)
+        return Run(
+            problem,
+            self._context.begun.mesh,
+            optics,
+            self._level.at.settings,
+            effects,
+            self.stage.begun_anew(optics),
+            watch=self._context.watch,
+        )
 
     def go_on_at(self, fitted: Fitted, all_shines: bool) -> None:
         """Begin at the last level, where another fit has ended.

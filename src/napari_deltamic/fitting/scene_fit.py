@@ -143,8 +143,9 @@ def fit_scene(
         said = "stuck: noise alone would be explained as well; does the start lie near the signal?"
     elif not rest:
         said = f"{iterations} iterations were not enough: something is still moving"
-    solved = found.amplitude, found.background, found.loss
-    return SceneFit(unknowns.scene(x), *solved, iterations, not said, said)
+    return SceneFit(
+        unknowns.scene(x), found.amplitude, found.background, found.loss, iterations, not said, said
+    )
 
 
 def _check_scene(scene: Scene, grid: Grid) -> None:

@@ -53,5 +53,6 @@ class Pixels:
         """This image at the level of the first: the same grid and blur."""
         # Those of the first image's background and camera are not those of this one.
         own = effects.of_a_further_image()
-        given = self.values, self.known, grid, optics, settings, own, factor
-        return Level(*given, own_optics=self.optics)
+        return Level(
+            self.values, self.known, grid, optics, settings, own, factor, own_optics=self.optics
+        )

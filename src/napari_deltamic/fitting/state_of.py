@@ -43,8 +43,17 @@ def state_of(
     """
 
     def rendered() -> np.ndarray:
-        given = fitted.mesh, grid, fitted.optics, accuracy, found.amplitude, found.background
-        image = expected_image(*given, density=density, effects=fitted.effects, light=fitted.light)
+        image = expected_image(
+            fitted.mesh,
+            grid,
+            fitted.optics,
+            accuracy,
+            found.amplitude,
+            found.background,
+            density=density,
+            effects=fitted.effects,
+            light=fitted.light,
+        )
         return with_nuclei(image, fitted.dimmed, found.background, fitted.effects, grid)
 
     return FitState(

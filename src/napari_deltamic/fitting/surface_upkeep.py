@@ -75,8 +75,9 @@ class SurfaceUpkeep:
         """With good triangles again."""
         if not (settings.remesh and self._remeshing.wanted(fitted.mesh, settings.flatness)):
             return fitted
-        given = fitted.shape, self.guard, settings.collisions, settings.flatness
-        after = self._remeshing.of_shape(*given)
+        after = self._remeshing.of_shape(
+            fitted.shape, self.guard, settings.collisions, settings.flatness
+        )
         return fitted if after is None else fitted.retriangulated(after)
 
     def too_soon(self, iteration: int) -> bool:

@@ -103,8 +103,15 @@ class TopologyTrials:
         found = gaps(self._problem, trial.misfit, after, points, reach, optics)
         if trial.tried:  # what pressed is judged before its densities have settled
             one, other = ((s.mesh, s.log_density) for s in (trial.before.shape, fitted.shape))
-            given = min(optics.sigma_um), points, reach, trial.misfit.independent
-            even = evener(fitted.shape.model, one, other, *given)
+            even = evener(
+                fitted.shape.model,
+                one,
+                other,
+                min(optics.sigma_um),
+                points,
+                reach,
+                trial.misfit.independent,
+            )
             found = [replace(gap, nats=gap.nats + n) for gap, n in zip(found, even, strict=True)]
         self.policy, judged = self.policy.judged(trial, found)
         self._events += _undecided(judged.undecided)
@@ -145,8 +152,16 @@ class TopologyTrials:
 
     def _misfit(self, fitted: Fitted, settings: FitSettings, like: Misfit | None = None) -> Misfit:
         faces = fitted.shape.face_densities()
-        given = fitted.optics, fitted.effects, settings.image_accuracy
-        return misfit_of(self._problem, fitted.mesh, faces, *given, like, fitted.light)
+        return misfit_of(
+            self._problem,
+            fitted.mesh,
+            faces,
+            fitted.optics,
+            fitted.effects,
+            settings.image_accuracy,
+            like,
+            fitted.light,
+        )
 
 
 def _may_change(fitted: Fitted, settings: FitSettings, factor: float) -> bool:

@@ -116,8 +116,15 @@ def counted_voxels(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
     (Z, Y, X) bool.
     """
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    given = surface_voxels(mesh, grid), labels, optics, RULES.near
-    return _shared_out(image, grid, *given, close=_all_seen(image, mesh, labels))
+    return _shared_out(
+        image,
+        grid,
+        surface_voxels(mesh, grid),
+        labels,
+        optics,
+        RULES.near,
+        close=_all_seen(image, mesh, labels),
+    )
 
 
 def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) -> np.ndarray | None:
@@ -134,8 +141,14 @@ def counted_around(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) ->
         labels, near = _dark_regions(image, grid, mesh, starts), RULES.near
     if labels is None:
         # The image shows no such region: what lies as near as the membrane may is theirs.
-        given = surface_voxels(mesh, grid), starts, optics
-        return _shared_out(image, grid, *given, max(RULES.explained, _radius(mesh, optics)))
+        return _shared_out(
+            image,
+            grid,
+            surface_voxels(mesh, grid),
+            starts,
+            optics,
+            max(RULES.explained, _radius(mesh, optics)),
+        )
     surface = np.zeros(labels.shape, bool)
     for region in np.unique(labels[labels > 0]):
         doing()
@@ -189,16 +202,18 @@ def _shared_out(
     # What is missing dims what is smoothed beside it.
     sure = known.all() or distance_transform_edt(known, sampling=spacing) > 2 * RULES.smooth
     doing()
-    given = inside, beside, height, known & sure, noise, spacing
-    foreign &= ~protrusions(foreign, bright & known, *given)
+    foreign &= ~protrusions(
+        foreign, bright & known, inside, beside, height, known & sure, noise, spacing
+    )
     foreign |= known & (labels == STRANGER)
     doing()
     if close:
         shining = pixels - haze > dark + RULES.beside * (crest - dark)
         strangers = known & without_start(shining, pixels - dark, labels, grid)
         doing()
-        things = labels, pixels - dark, foreign | strangers, strangers
-        foreign, own, missed = without_missed(image, grid, *things, own, reach, spacing)
+        foreign, own, missed = without_missed(
+            image, grid, labels, pixels - dark, foreign | strangers, strangers, own, reach, spacing
+        )
         doing()
         if missed.any():
             foreign &= strangers | ~_rims(foreign & ~strangers, own - reach)

@@ -52,7 +52,8 @@ def fixed_plan(
         return Plan("closed form", band, 0.0, threshold, single, None, [], 0.0, work)
     rules = [(rule(degree), np.arange(len(faces)))]
     points = len(faces) * len(rules[0][0].weights)
-    given = band.half, band.spacing, transfer, _TOLERANCE[single], points, single
-    spreading = choose_spreading(*given, width=width)
+    spreading = choose_spreading(
+        band.half, band.spacing, transfer, _TOLERANCE[single], points, single, width=width
+    )
     work = count_work("particle-mesh", band, len(faces), phases, rules, spreading)
     return Plan("particle-mesh", band, 0.0, threshold, single, spreading, rules, 0.0, work)

@@ -89,9 +89,10 @@ class _Flux(torch.autograd.Function):
         faces, areas, points, spreading, low, single = rest
         ctx.save_for_backward(vertices, contrast)
         ctx.rest = rest
-        given = vertices, faces, contrast, points, spreading, single, vertices.device
         # Dipoles along the areas: the divergence of the flux, i xi . its transform.
-        grid = spread(*given, vectors=areas)
+        grid = spread(
+            vertices, faces, contrast, points, spreading, single, vertices.device, vectors=areas
+        )
         return spreading.fft.to_box(grid, _weights_of(spreading, low, grid))
 
     @staticmethod

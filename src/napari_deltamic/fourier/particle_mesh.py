@@ -81,8 +81,15 @@ class _Transform(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         vertices, density = ctx.saved_tensors
         elements, points, spreading, single, _ = ctx.rest
-        given = vertices, elements, density, points, spreading, single
-        found = pull(*given, field_of(grad, spreading, single))
+        found = pull(
+            vertices,
+            elements,
+            density,
+            points,
+            spreading,
+            single,
+            field_of(grad, spreading, single),
+        )
         return *found, None, None, None, None, None
 
 

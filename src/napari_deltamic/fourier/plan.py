@@ -109,8 +109,15 @@ class Plan:
         if self.spreading is None:
             rows = band_ft(vertices, faces, density, self.band.rows, self.band.spacing, self.single)
             return self.band.to_box(rows).to(there)
-        given = self.quadrature_of(len(faces)), self.spreading, self.single, there
-        return elements_ft(vertices, faces, density, *given)
+        return elements_ft(
+            vertices,
+            faces,
+            density,
+            self.quadrature_of(len(faces)),
+            self.spreading,
+            self.single,
+            there,
+        )
 
     def quadrature_of(self, faces: int) -> Points:
         """The rules for a mesh of as many faces as the plan was made for."""
@@ -218,8 +225,17 @@ def spreading_for(
 ) -> Spreading:
     """Grid and kernels for a band; of dipoles where insides shine."""
     points = sum(len(r.weights) * len(of) for r, of in rules)
-    given = c.band.half, c.band.spacing, transfer, c.tolerance, points, c.single
-    return choose_spreading(*given, falloff, width, dipoles)
+    return choose_spreading(
+        c.band.half,
+        c.band.spacing,
+        transfer,
+        c.tolerance,
+        points,
+        c.single,
+        falloff,
+        width,
+        dipoles,
+    )
 
 
 @dataclass(frozen=True)

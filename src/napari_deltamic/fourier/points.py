@@ -75,8 +75,9 @@ class Points:
             start.append(start[-1] + len(r.weights))
             places.append(r.barycentric)
             weights.append(r.weights)
-        given = np.concatenate(places), np.concatenate(weights)
-        return module.Quadrature(rule, np.array(start, np.int64), *given)
+        return module.Quadrature(
+            rule, np.array(start, np.int64), np.concatenate(places), np.concatenate(weights)
+        )
 
     def groups(
         self, real: torch.dtype, device: torch.device

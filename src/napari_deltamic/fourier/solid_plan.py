@@ -90,9 +90,10 @@ class SolidPlan:
         phases = _LARGEST_PHASE * phases / max(stretch * reach, 1e-300)
         near = Points(choose_rules(phases, 1.0, RULE_SHARE * plan.accuracy), len(faces))
         count = near.count * len(nodes(plan.tolerance)[0])
-        given = low.half, low.spacing, flat, plan.tolerance, count, plan.single
-        shells = near, choose_spreading(*given)
-        return cls(plan, low, _flux(plan, corners, edges, contrast), shells)
+        spreading = choose_spreading(
+            low.half, low.spacing, flat, plan.tolerance, count, plan.single
+        )
+        return cls(plan, low, _flux(plan, corners, edges, contrast), (near, spreading))
 
     def points_of(self, contrast: Tensor) -> tuple[Points, Points]:
         """Of the flux and of the shells: walls between regions that shine alike show nothing."""
@@ -150,8 +151,9 @@ class SolidPlan:
         if _has_atomics(device) and terms <= _MOST_DIRECT:
             return self._directly(centre, shells, strengths).to(kind)
         one, indices = _one_by_one(len(shells)), torch.arange(len(shells), device=device)[:, None]
-        given = shells + centre, indices, strengths, one, self.shells[1], self.plan.single
-        return elements_ft(*given)
+        return elements_ft(
+            shells + centre, indices, strengths, one, self.shells[1], self.plan.single
+        )
 
     def _directly(self, centre: Tensor, arms: Tensor, strengths: Tensor) -> Tensor:
         """The sum over points (P, 3) about the centre, on the low box, wavevector by wavevector."""

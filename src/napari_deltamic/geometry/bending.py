@@ -82,8 +82,9 @@ class BendingEnergy:
         if library is None:
             return self._in_numpy(vertices)
         given = np.ascontiguousarray(vertices, dtype=np.float64)
-        of = self._wall, self._side, self._walls, self._own
-        energy, gradient = library.bending(given, self._faces, self._smooth, *of)
+        energy, gradient = library.bending(
+            given, self._faces, self._smooth, self._wall, self._side, self._walls, self._own
+        )
         return energy, gradient
 
     def _in_numpy(self, vertices: FloatArray) -> tuple[float, FloatArray]:

@@ -25,8 +25,7 @@ def vertex_curvature(mesh: Mesh) -> FloatArray:
 
     def around(values: FloatArray) -> FloatArray:
         """Sums over a vertex and its neighbours."""
-        ends = edges.reshape(-1), values[edges[:, ::-1]].reshape(-1)
-        return values + np.bincount(*ends, n)
+        return values + np.bincount(edges.reshape(-1), values[edges[:, ::-1]].reshape(-1), n)
 
     turned = np.repeat(length * _turn(mesh, one, other) / 4, 2)
     bent = np.bincount(edges[smooth].reshape(-1), turned, n).astype(float)

@@ -171,8 +171,14 @@ class _Channel:
 
     def columns(self, pose: _Pose) -> sp.csr_matrix:
         """(N, K + 1) of the known voxels; the last one is the background."""
-        chosen = self.settings.walls, self.settings.insides, self.settings.accuracy
-        found = part_images(self.mesh.translated(pose.shift), self.grid, pose.optics, *chosen)
+        found = part_images(
+            self.mesh.translated(pose.shift),
+            self.grid,
+            pose.optics,
+            self.settings.walls,
+            self.settings.insides,
+            self.settings.accuracy,
+        )
         seen = found.tocsr()[self.known]
         return sp.hstack([seen, sp.csr_matrix(np.ones((seen.shape[0], 1)))]).tocsr()
 

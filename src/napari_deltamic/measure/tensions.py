@@ -143,8 +143,9 @@ def relative_pressures(
         used = rows[:, free].any(1)
         if not used.any():
             continue
-        given = jumps[used], np.abs(unsure * jumps)[used], weight[used]
-        values, errors = _weighted(rows[np.ix_(used, free)], *given)
+        values, errors = _weighted(
+            rows[np.ix_(used, free)], jumps[used], np.abs(unsure * jumps)[used], weight[used]
+        )
         for k, value, error in zip(free, values, errors, strict=True):
             found[cells[k]] = Estimate(float(value), float(error))
     found.pop(OUTSIDE, None)

@@ -184,8 +184,9 @@ def _of_session(path: Path, errors: bool) -> Measurable:
         explained = analyse_residual(pixels, grid, state, counted=result.counted).shares()
     except InputError as error:
         remarks.append(f"what the fit explains is not known: {error}")
-    given = pixels, grid, state, result.settings.fit, result.counted
-    replicas = replicas_at(*given) if errors else None
+    replicas = (
+        replicas_at(pixels, grid, state, result.settings.fit, result.counted) if errors else None
+    )
     facts = {
         "settings": result.settings.model_dump(mode="json"),
         "message": result.message,

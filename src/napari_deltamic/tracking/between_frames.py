@@ -136,8 +136,16 @@ class BetweenFrames:
             # The first state of a fit is its start.
             settings = settings.model_copy(update={"levels": (1.0,)})
             optics = self._left_by(result) if settings.fit_psf else self.optics
-            given = frame.pixels, self._grid, result.mesh, optics
-            self.state = next(fit(*given, settings=settings, effects=effects))
+            self.state = next(
+                fit(
+                    frame.pixels,
+                    self._grid,
+                    result.mesh,
+                    optics,
+                    settings=settings,
+                    effects=effects,
+                )
+            )
 
     def expected(self, frame: int, share: float) -> Mapping[int, NDArray[np.float64]]:
         """um: how far each cell moves until a frame, at a share of its velocity."""

@@ -217,8 +217,9 @@ class _Tracker:
             return [Start("seeds", past.mesh, 0.0, float("nan"))]
         expected = past.expected(frame.number, self.tracking.velocity)
         rendered = past.state.rendered()
-        given = past.mesh, rendered, frame.image, frame.known, self.grid, past.optics
-        return starts(*given, expected)
+        return starts(
+            past.mesh, rendered, frame.image, frame.known, self.grid, past.optics, expected
+        )
 
     def _fit(
         self, frame: Frame, start: Start, blur: Blur = "near"

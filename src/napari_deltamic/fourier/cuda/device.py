@@ -155,12 +155,15 @@ class DeviceKernels(Generic[Of]):
         """Start a kernel on torch's current stream of the device."""
         places = (ctypes.c_void_p * len(arguments))(*(ctypes.addressof(a) for a in arguments))
         stream = torch.cuda.current_stream(self._index).cuda_stream
-        shape = (*grid, 1, self.build.threads, 1, 1)
         with self:
             self._call(
                 self._driver.cuLaunchKernel,
                 self._function(name),
-                *shape,
+                *grid,
+                1,
+                self.build.threads,
+                1,
+                1,
                 0,
                 stream,
                 ctypes.addressof(places),

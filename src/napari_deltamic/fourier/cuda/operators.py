@@ -22,8 +22,9 @@ def _mesh_ft_cuda(
 ) -> Tensor:
     k = kernels(vertices.device, single)
     if k is None:
-        given = vertices, faces, density, wavevectors, single
-        return on_cpu(_mesh_ft, *given, back_to=vertices.device)
+        return on_cpu(
+            _mesh_ft, vertices, faces, density, wavevectors, single, back_to=vertices.device
+        )
     return transform.list_forward(k, vertices, faces, density, wavevectors)
 
 
@@ -38,8 +39,16 @@ def _mesh_ft_backward_cuda(
 ) -> tuple[Tensor, Tensor]:
     k = kernels(vertices.device, single)
     if k is None:
-        given = grad, vertices, faces, density, wavevectors, single
-        return on_cpu(_mesh_ft_backward, *given, back_to=vertices.device)
+        return on_cpu(
+            _mesh_ft_backward,
+            grad,
+            vertices,
+            faces,
+            density,
+            wavevectors,
+            single,
+            back_to=vertices.device,
+        )
     return transform.list_backward(k, grad, vertices, faces, density, wavevectors)
 
 
@@ -54,8 +63,9 @@ def _band_ft_cuda(
 ) -> Tensor:
     k = kernels(vertices.device, single)
     if k is None:
-        given = vertices, faces, density, rows, spacing, single
-        return on_cpu(band_ft, *given, back_to=vertices.device)
+        return on_cpu(
+            band_ft, vertices, faces, density, rows, spacing, single, back_to=vertices.device
+        )
     return transform.band_forward(k, vertices, faces, density, rows, spacing)
 
 
@@ -71,6 +81,15 @@ def _band_ft_backward_cuda(
 ) -> tuple[Tensor, Tensor]:
     k = kernels(vertices.device, single)
     if k is None:
-        given = grad, vertices, faces, density, rows, spacing, single
-        return on_cpu(_band_ft_backward, *given, back_to=vertices.device)
+        return on_cpu(
+            _band_ft_backward,
+            grad,
+            vertices,
+            faces,
+            density,
+            rows,
+            spacing,
+            single,
+            back_to=vertices.device,
+        )
     return transform.band_backward(k, grad, vertices, faces, density, rows, spacing)

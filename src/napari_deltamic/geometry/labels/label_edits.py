@@ -100,8 +100,16 @@ class Corrector:
         missing = [click for click, n in zip(clicks, names, strict=True) if n == 0]
         if missing:
             least = CLICKS.named * self._voxels_of_cell()
-            given = self._found, self._data, missing, self._voxel, self._size
-            _add(labels, *given, fewest, max(fewest, least))
+            _add(
+                labels,
+                self._found,
+                self._data,
+                missing,
+                self._voxel,
+                self._size,
+                fewest,
+                max(fewest, least),
+            )
 
     def _voxels_of_cell(self) -> float:
         """Of a typical one."""

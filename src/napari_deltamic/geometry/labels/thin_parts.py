@@ -46,8 +46,9 @@ def cut_off(
     # A box of voxels, all of them nearer than where a part ends: most labels lie within it.
     around = 2 * np.floor(_ENDS * scale / np.sqrt(3) / size).astype(int) + 1
     found: dict[int, float] = {}
-    place = size.tolist(), origin.tolist()
-    for name, box, wound in region_windings(mesh, mesh.region_ids(), numbers.shape, *place):
+    for name, box, wound in region_windings(
+        mesh, mesh.region_ids(), numbers.shape, size.tolist(), origin.tolist()
+    ):
         doing()
         number = int(np.searchsorted(names, name)) + 1
         both = box_around(box, boxes[number - 1])

@@ -115,8 +115,9 @@ class _Box:
         labels = np.zeros(self.shape, np.int32)
         depth = np.zeros(self.shape)
         overlap = np.zeros(self.shape, bool)
-        grid = self.shape, (self.size,) * 3, self.low
-        for region, cut, turns in region_windings(mesh, mesh.region_ids().tolist(), *grid):
+        for region, cut, turns in region_windings(
+            mesh, mesh.region_ids().tolist(), self.shape, (self.size,) * 3, self.low
+        ):
             inside = turns > 0
             overlap[cut] |= (inside & (labels[cut] > 0)) | (turns > 1) | (turns < 0)
             own = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1, 1:-1]
