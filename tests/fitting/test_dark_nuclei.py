@@ -109,7 +109,7 @@ def test_a_layer_stays_as_thick_as_it_is(monkeypatch, thick, gains, is_layer, le
         setattr(fitted, name, lambda *_: fitted)
     cells = SimpleNamespace(mesh=BALL, share=lambda _: 0.2, brightness=lambda _: 0.3)
     monkeypatch.setattr(dark_nuclei, "begun", lambda *_: rival(-1))
-    monkeypatch.setattr(dark_nuclei, "gone_on", lambda one: (rival(one.leg + 1), 1))
+    monkeypatch.setattr(dark_nuclei, "descend_and_pose_anew", lambda one: (rival(one.leg + 1), 1))
     monkeypatch.setattr(dark_nuclei, "_thickness", lambda one, _: thick[one.leg])
     monkeypatch.setattr(dark_nuclei, "gains_over", lambda one, _: 2 * [gains[one.leg] + SCATTER])
     found, layer, taken = _followed(None, SimpleNamespace(fitted=fitted), cells)

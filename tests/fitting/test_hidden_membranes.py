@@ -71,7 +71,9 @@ def followed(
         even = evened[one.leg] if evened else 1.0
         return [even * np.ones((1, 16)), (gains[one.leg] / 16 + SCATTER)[None]]
 
-    monkeypatch.setattr(hidden_membranes, "gone_on", lambda one: (rival(one.leg + 1), 3))
+    monkeypatch.setattr(
+        hidden_membranes, "descend_and_pose_anew", lambda one: (rival(one.leg + 1), 3)
+    )
     monkeypatch.setattr(hidden_membranes, "gains_over", gained)
     monkeypatch.setattr(hidden_membranes, "are_even", lambda one: even)
     monkeypatch.setattr(hidden_membranes, "is_uneven", lambda one: uneven)
@@ -83,7 +85,9 @@ def followed(
     )
     bounds = {3.0: 100, 2.0: 60}
     monkeypatch.setattr(
-        hidden_membranes, "enough", lambda known, errors: known[-1].sum() > bounds[errors]
+        hidden_membranes,
+        "gains_exceed_error",
+        lambda known, errors: known[-1].sum() > bounds[errors],
     )
     trial = _followed(_Trial(rival(0), 5), None, 6)
     leg, may = trial.rival.leg, shines != "interior"
@@ -168,9 +172,9 @@ def test_nor_at_once(monkeypatch, mesh, varies, stands):
     )
     for name, value in (
         ("begun", rival),
-        ("gone_on", (rival, 3)),
+        ("descend_and_pose_anew", (rival, 3)),
         ("moved_in", None),
-        ("stand", True),
+        ("both_beat_insides", True),
         ("gains_over", 2 * [np.ones((1, 4))]),
         ("is_uneven", True),
         ("_followed", "followed"),
@@ -320,7 +324,9 @@ def membranes_alone(monkeypatch, legs, wide=0.1, without_one=1.0, deep=0.1):
         "begun",
         lambda terms, one, factored: begin.append(one) or SimpleNamespace(leg=-1),
     )
-    monkeypatch.setattr(hidden_membranes, "gone_on", lambda one: (rival(one.leg + 1), 7))
+    monkeypatch.setattr(
+        hidden_membranes, "descend_and_pose_anew", lambda one: (rival(one.leg + 1), 7)
+    )
     monkeypatch.setattr(
         hidden_membranes, "gains_over", lambda one, _: [np.atleast_2d(g) for g in legs[one.leg][:2]]
     )
@@ -442,14 +448,14 @@ def test_beside_membranes_that_were_found_alone_insides_are_asked_for_once_more(
 ):
     mesh, said, posed = sphere(MIDDLE, 1.0), [], []
     fitted = SimpleNamespace(structure=structure, mesh=mesh)
-    stage = SimpleNamespace(progress=Progress(again=True, unsure=True, iterations=7))
+    stage = SimpleNamespace(progress=Progress(asked_again=True, unsure=True, iterations=7))
     at = SimpleNamespace(fitted=fitted, stage=stage)
     at.progressed = lambda progress: posed.append(progress) or at
     context = SimpleNamespace(
         reporter=SimpleNamespace(say=said.append), upkeep=SimpleNamespace(restart=lambda: None)
     )
     LevelRun._go_on_elsewhere(SimpleNamespace(at=at, _context=context), mesh)
-    assert posed == [Progress(again=again, unsure=True)]
+    assert posed == [Progress(asked_again=again, unsure=True)]
     assert word in said[0]
 
 
@@ -461,7 +467,7 @@ def test_membranes_may_shine_as_well_only_where_none_do(monkeypatch, structure, 
     monkeypatch.setattr(ModelChoice, "_with_both_again", staticmethod(lambda *_: (fitted, 3, True)))
     choice = ModelChoice(FitSettings(structure="both"), 1)
     found = choice.asked_anew(None, None, fitted, None, Progress(), None)
-    assert found == (fitted, 3, Progress(again=True, unsure=unsure))
+    assert found == (fitted, 3, Progress(asked_again=True, unsure=unsure))
 
 
 @pytest.mark.slow

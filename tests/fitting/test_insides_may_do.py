@@ -87,7 +87,7 @@ def test_insides_alone_may_do_unless_both_surely_explain_more(
     )
     both.anew = lambda: both
     monkeypatch.setattr(rival_structures, "begun", lambda terms, one, factored: one)
-    monkeypatch.setattr(rival_structures, "gone_on", lambda one: (one, 5))
+    monkeypatch.setattr(rival_structures, "descend_and_pose_anew", lambda one: (one, 5))
     monkeypatch.setattr(rival_structures, "gains_over", lambda one, other: gains)
     found, taken = rival_structures.insides_may_do(both.terms, both, None)
     assert found is doubted

@@ -24,7 +24,7 @@ from napari_deltamic.fitting.light_cone import (
     widefield_of,
 )
 from napari_deltamic.fitting.rival_structures import RULES as RIVALS
-from napari_deltamic.fitting.rival_structures import gone_on, stepped
+from napari_deltamic.fitting.rival_structures import descend_and_pose_anew, stepped
 from napari_deltamic.fitting.successor import BACK, NARROW, is_given_up, successor
 from napari_deltamic.fitting.topology_trials import TopologyTrials
 from napari_deltamic.geometry import sphere
@@ -577,6 +577,6 @@ def test_a_rival_is_dropped_before_it_is_posed_anew():
     assert (objective, looks) == (posed[0], [posed[0], posed[0]])
     assert (taken, len(posed)) == (6, 1)
     watched.clear()
-    objective, taken = gone_on(Slow())  # to the end, where it is posed anew
+    objective, taken = descend_and_pose_anew(Slow())  # to the end, where it is posed anew
     assert len(watched) == RIVALS.steps
     assert (objective, taken, len(posed)) == (posed[-1], 18, 4)

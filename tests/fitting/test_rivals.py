@@ -47,12 +47,12 @@ class End:
 def chosen(monkeypatch, start="start", surely=True, **left):
     """The fit that goes on where each leaves so much; others leave 10 times as much."""
 
-    def gone_on(fit):
+    def descend_and_pose_anew(fit):
         return End(fit, left.get(f"{fit.structure}_{fit.shape}", 10.0)), 3
 
     monkeypatch.setattr(rival_structures, "begun", lambda terms, fit, factored: fit)
     monkeypatch.setattr(rival_structures, "_explains_more", lambda one, other: surely)
-    monkeypatch.setattr(rival_structures, "gone_on", gone_on)
+    monkeypatch.setattr(rival_structures, "descend_and_pose_anew", descend_and_pose_anew)
     fit, taken = best_of(Terms(), Fit(), start)
     assert taken == (15 if start else 9)
     assert fit.structure == "both"
@@ -208,7 +208,7 @@ FEW, SURE = np.append(ONCE, np.zeros(5)), np.tile(ONCE, 2)  # 1.9 errors at most
 )
 def test_membranes_that_are_clear_stand_by_what_was_measured(given, stand):
     alone = answer({True: -given["evened"], False: -given["measured"]})
-    assert rival_structures.stand(fit_of_both(**given), alone) is stand
+    assert rival_structures.both_beat_insides(fit_of_both(**given), alone) is stand
 
 
 def fit_at(leg):
@@ -240,7 +240,9 @@ def test_insides_alone_are_followed_while_they_may_come_near(monkeypatch, lackin
     monkeypatch.setattr(rival_structures, "_alone_further_out", lambda *_: None)
     monkeypatch.setattr(rival_structures, "begun", lambda *_: None)
     monkeypatch.setattr(
-        rival_structures, "gone_on", lambda one: (fit_at(0 if one is None else one.leg + 1), 5)
+        rival_structures,
+        "descend_and_pose_anew",
+        lambda one: (fit_at(0 if one is None else one.leg + 1), 5),
     )
     monkeypatch.setattr(rival_structures, "_stay", stay)
     monkeypatch.setattr(rival_structures, "gains_over", gains)

@@ -336,8 +336,8 @@ def test_membranes_are_denied_where_insides_alone_explain_more_once_they_are_eve
         insides_vary=lambda: (0.0, np.inf),
         terms=SimpleNamespace(settings=FitSettings()),
     )
-    assert rival_structures.stand(both, both, [0 * gain, gain])
-    assert not rival_structures.stand(both, both, [-gain, gain])
+    assert rival_structures.both_beat_insides(both, both, [0 * gain, gain])
+    assert not rival_structures.both_beat_insides(both, both, [-gain, gain])
 
 
 @pytest.mark.slow

@@ -36,7 +36,7 @@ from .level import Level
 from .preconditioner import Preconditioners
 from .prediction import as_floats
 from .rival_structures import RULES as RIVALS
-from .rival_structures import begun, enough, gone_on
+from .rival_structures import begun, descend_and_pose_anew, gains_exceed_error
 from .shape import Shape
 
 # Of the brightest, below which nothing is dimmed; chosen: about the error of the rendering.
@@ -183,7 +183,7 @@ def around_nuclei(terms: Terms, objective: Objective) -> tuple[Fitted | None, bo
     gains = gains_over(rival, both)
     # While the PSF is held, a layer stands in for one that is wider.
     held = not terms.settings.fit_psf
-    if held or any(enough([-gain], RIVALS.errors) for gain in gains):
+    if held or any(gains_exceed_error([-gain], RIVALS.errors) for gain in gains):
         return None, True, taken
     return _alone(terms.level, rival, cells), False, taken
 
@@ -209,21 +209,21 @@ def _followed(terms: Terms, both: Objective, cells: _Cells) -> tuple[Objective, 
     fitted, mesh = both.fitted, cells.mesh
     begin = fitted.retriangulated(Shape.begun(mesh, fitted.shape.model)).shining(INSIDES)
     begin = begin.displaced(mesh.vertices_numpy(), fitted.first_optics).with_structure("interior")
-    rival, taken = gone_on(begun(terms, begin, Preconditioners()))
+    rival, taken = descend_and_pose_anew(begun(terms, begin, Preconditioners()))
     thick, least = np.inf, -np.inf
     for _ in range(RULES.legs):
         before, thick = thick, _thickness(rival, cells)
         gains = gains_over(rival, both)
-        lost = all(enough([-gain], RULES.lost) for gain in gains)
+        lost = all(gains_exceed_error([-gain], RULES.lost) for gain in gains)
         # The PSF may widen before surfaces move: then the layer looks thin, but gets thicker.
         if lost or (thick < RULES.apart and thick <= before < np.inf):
             return rival, False, taken
         reached, least = least, min(float(gain.sum()) for gain in gains)
-        sure = all(enough([gain], RIVALS.errors) for gain in gains)
+        sure = all(gains_exceed_error([gain], RIVALS.errors) for gain in gains)
         grows = least - reached > RULES.growing * abs(least) and not sure
         if before - thick < RULES.thinner * thick and not grows:
             break
-        rival, more = gone_on(rival)
+        rival, more = descend_and_pose_anew(rival)
         taken += more
     layer = _thickness(rival, cells) > RULES.apart
     small = cells.share(rival.fitted.mesh) < RULES.most

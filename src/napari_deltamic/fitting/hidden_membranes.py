@@ -24,14 +24,14 @@ from .rival_structures import RULES as RIVALS
 from .rival_structures import (
     are_even,
     begun,
-    enough,
-    gone_on,
+    both_beat_insides,
+    descend_and_pose_anew,
+    gains_exceed_error,
     insides_over,
     is_uneven,
     more_than_insides,
     moved_in,
     shows_membranes,
-    stand,
 )
 from .shape import Shape
 from .small_cells import other_alone
@@ -76,7 +76,7 @@ class HiddenRules:
     within
         Widths of the PSF as it is, by which membranes of larger cells begin further in. Chosen:
         from 0.6, red blood cells got there in twice as many steps.
-    much
+    leaves_less
         Share of the squares that are left by which they must leave less in larger cells. Chosen.
         Measured in a real stack of red blood cells, which had ended as insides around the outer
         half of their light, from three kinds of seeds: 0.23 to 0.52. In a dyed droplet that fades
@@ -108,7 +108,7 @@ class HiddenRules:
     alone: int = 2
     small: float = 2.4
     within: float = 1.2
-    much: float = 0.2
+    leaves_less: float = 0.2
     lit: float = 1.0
     varied: float = 0.65
     from_start: int = 10
@@ -198,12 +198,12 @@ def _from_further_in(
     width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
     vertices = moved_in(fitted.shape, RULES.further_in * width, terms.settings.collisions)
     both = fitted.displaced(vertices, fitted.first_optics).with_density("interface")
-    rival, taken = gone_on(begun(terms, both.with_structure("both"), factored))
+    rival, taken = descend_and_pose_anew(begun(terms, both.with_structure("both"), factored))
     # Clear membranes stand at once or not at all: with more steps, they imitate fine chromatin.
     # Measured on a nucleus: 2.6 errors, and no more left, after 36 steps; it ended 1.1 voxels off.
     if shows_membranes(rival) and _believed(rival):
         gains = gains_over(rival, alone)
-        if all(stand(rival, alone, some) for some in (gains, without_one(gains))):
+        if all(both_beat_insides(rival, alone, some) for some in (gains, without_one(gains))):
             return _Trial(rival, taken, True, True, False)
     return _followed(_Trial(rival, taken), alone, most)
 
@@ -220,9 +220,9 @@ def _from_start(terms: Terms, alone: Objective, start: Shape) -> _Trial:
     one, taken = began.with_density("interface"), 0
     membranes: list[Structure] = ["membrane"]
     for structure in (*RULES.alone * membranes, "both"):
-        rival, more = gone_on(begun(held, one.with_structure(structure), factored))
+        rival, more = descend_and_pose_anew(begun(held, one.with_structure(structure), factored))
         one, taken = rival.fitted, taken + more
-    rival, more = gone_on(begun(terms, one, factored))
+    rival, more = descend_and_pose_anew(begun(terms, one, factored))
     return _followed(_Trial(rival, taken + more), alone, RULES.from_start)
 
 
@@ -241,20 +241,22 @@ def _membranes_alone(
     if not small and (insides.deep_brightness() or 0.0) > RULES.lit:
         return insides, 0, False
     begin = other_alone(terms, fitted) if small else _membranes_further_in(terms, fitted)
-    least, legs = (RIVALS.less, 0) if small else (RULES.much, RIVALS.legs)
-    rival, taken = gone_on(begun(terms, begin, factored))
+    least, legs = (RIVALS.less, 0) if small else (RULES.leaves_less, RIVALS.legs)
+    rival, taken = descend_and_pose_anew(begun(terms, begin, factored))
     for leg in range(legs + 1):
         gains = gains_over(rival, insides)
-        if not enough(gains[1:], RIVALS.clear):
+        if not gains_exceed_error(gains[1:], RIVALS.clear):
             return rival, taken, False
         leaves = max(rival.leaves_over(insides), leaves_without_one(rival, insides))
         less = leaves < 1 - least
         less = less and rival.leaves_over(both) < 1 - RIVALS.less
-        if less and all(enough(some, RIVALS.clear) for some in (gains, without_one(gains))):
+        if less and all(
+            gains_exceed_error(some, RIVALS.clear) for some in (gains, without_one(gains))
+        ):
             return rival, taken, True
         if leg == legs:
             break
-        before, (rival, more) = rival, gone_on(rival)
+        before, (rival, more) = rival, descend_and_pose_anew(rival)
         taken += more
         if rival.leaves_over(before) > 1 - RIVALS.less:
             break
@@ -282,13 +284,13 @@ def _followed(trial: _Trial, alone: Objective, most: int) -> _Trial:
         shows = shows_membranes(rival)
         seen = shows and _believed(rival) and (over <= RIVALS.hidden or are_even(rival))
         stands = seen and all(more_than_insides(rival, g) for g in (gains, without_one(gains)))
-        hints |= shows and enough(gains, RULES.unsure)
-        less &= not shows or enough([-gains[0]], RULES.less)
+        hints |= shows and gains_exceed_error(gains, RULES.unsure)
+        less &= not shows or gains_exceed_error([-gains[0]], RULES.less)
         fades = not seen and over > over_before
         if stands or not shows or fades or leg == most or not _grows(before, gains):
             break
         before, over_before = gains, over
-        rival, more = gone_on(rival)
+        rival, more = descend_and_pose_anew(rival)
         taken, gains, over = taken + more, gains_over(rival, alone), insides_over(rival)
     return _Trial(rival, taken, stands, hints, less)
 

@@ -283,7 +283,7 @@ class LevelRun:
         if fitted is at.fitted:
             return False
         self.at = self.at.progressed(replace(after.released(), stuck=0, rests=0))
-        if after.again != progress.again and fitted.mesh is not at.fitted.mesh:
+        if after.asked_again != progress.asked_again and fitted.mesh is not at.fitted.mesh:
             self._go_on_elsewhere(at.fitted.mesh)
         return True
 
@@ -316,7 +316,7 @@ class LevelRun:
         """The surface was taken up again further in, or where the fit began."""
         alone = self.at.fitted.structure == "membrane"  # insides beside them are asked for yet
         unsure = self.at.stage.progress.unsure
-        self.at = self.at.progressed(Progress(again=not alone, unsure=unsure))
+        self.at = self.at.progressed(Progress(asked_again=not alone, unsure=unsure))
         self._context.upkeep.restart()
         self._context.reporter.say(_MEMBRANES if alone else _FURTHER_IN)
         if not np.array_equal(self.at.fitted.mesh.faces, before.faces):

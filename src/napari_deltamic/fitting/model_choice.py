@@ -128,7 +128,7 @@ class ModelChoice:
             )
             # Where a user asks for both, there is nothing to say: the other doubt is that of both.
             unsure = unsure and one and fitted.structure == "interior"
-            return found, taken, replace(progress, again=True, unsure=unsure)
+            return found, taken, replace(progress, asked_again=True, unsure=unsure)
         if self.is_open(fitted) and not progress.answered:  # once for each surface
             found, taken = self._at_rest(terms, objective, fitted, factored)
             return found, taken, replace(progress, answered=True)
@@ -146,7 +146,7 @@ class ModelChoice:
         found, unsure, taken = around_nuclei(terms, objective)
         if found is None:
             return fitted, taken, replace(progress, nuclei=True, unsure=unsure)
-        return found, taken, Progress(answered=True, again=True, nuclei=True)
+        return found, taken, Progress(answered=True, asked_again=True, nuclei=True)
 
     @staticmethod
     def _at_rest(
@@ -185,7 +185,11 @@ class ModelChoice:
         """
         asked = self.settings.structure
         open_still = asked == "both" or (asked == "auto" and fitted.structure != "both")
-        if not open_still or progress.again or (self.levels > 1 and fitted.structure != "interior"):
+        if (
+            not open_still
+            or progress.asked_again
+            or (self.levels > 1 and fitted.structure != "interior")
+        ):
             return False
         return may_shine("auto", fitted.mesh, fitted.optics) == "both"
 

@@ -153,7 +153,9 @@ def best_of(terms: Terms, fitted: Fitted, start: Shape | None) -> tuple[Fitted, 
     if start is not None:
         from_start = fitted.retriangulated(start)
         begin += [from_start.with_structure(s) for s in ("membrane", "both")]
-    (both, _), *others = ends = [gone_on(begun(terms, one, factored)) for one in begin]
+    (both, _), *others = ends = [
+        descend_and_pose_anew(begun(terms, one, factored)) for one in begin
+    ]
     taken = sum(end[1] for end in ends)
     rival, _ = min(others, key=lambda end: end[0].left)
     if rival.left < (1 - RULES.less) * both.left and _explains_more(rival, both):
@@ -174,13 +176,13 @@ def insides_alone(
     tell (:mod:`.structure_choice`), a few steps do.
     """
     both = objective.anew()
-    rival, taken = gone_on(begun(terms, _alone_further_out(terms, both), factored))
+    rival, taken = descend_and_pose_anew(begun(terms, _alone_further_out(terms, both), factored))
     taken += both.evaluations()
     gains = gains_over(both, rival)
     for _ in range(RULES.legs):
         if not _stay(both, rival, gains):
             break
-        further, more = gone_on(rival)
+        further, more = descend_and_pose_anew(rival)
         taken += more
         gained, rival = gains_over(further, rival)[0].sum(), further
         gains = gains_over(both, rival)
@@ -207,13 +209,13 @@ def insides_may_do(
         width = float(np.prod(fitted.optics.sigma_um) ** (1 / 3))
         vertices = moved_in(fitted.shape, -RULES.out * width, terms.settings.collisions)
         begin = fitted.displaced(vertices, fitted.first_optics).with_structure("interior")
-    rival, taken = gone_on(begun(terms, begin, factored))
-    return not enough(gains_over(both, rival), RULES.errors), taken + both.evaluations()
+    rival, taken = descend_and_pose_anew(begun(terms, begin, factored))
+    return not gains_exceed_error(gains_over(both, rival), RULES.errors), taken + both.evaluations()
 
 
 def _stay(both: Objective, alone: Objective, gains: Sequence[FloatArray]) -> bool:
     """Whether both explain more than insides alone that began further out: they are near, too."""
-    return enough(gains, RULES.near) or stand(both, alone, gains)
+    return gains_exceed_error(gains, RULES.near) or both_beat_insides(both, alone, gains)
 
 
 def with_even_membranes(
@@ -224,15 +226,17 @@ def with_even_membranes(
     Membranes of any brightness, around a smaller inside, explain chromatin that a border cuts. Even
     ones do not.
     """
-    return gone_on(begun(terms, objective.fitted.with_density("interface"), factored))
+    return descend_and_pose_anew(begun(terms, objective.fitted.with_density("interface"), factored))
 
 
 def without_rim(
     terms: Terms, objective: Objective, even: Objective, factored: Preconditioners
 ) -> tuple[Fitted | None, int]:
     """The fit of insides alone, unless membranes that are even show beside them; evaluations."""
-    rival, taken = gone_on(begun(terms, _alone_further_out(terms, objective), factored))
-    stay = insides_over(even) <= RULES.hidden and stand(even, rival)
+    rival, taken = descend_and_pose_anew(
+        begun(terms, _alone_further_out(terms, objective), factored)
+    )
+    stay = insides_over(even) <= RULES.hidden and both_beat_insides(even, rival)
     return (None if stay else rival.fitted), taken
 
 
@@ -255,7 +259,9 @@ def shows_membranes(objective: Objective) -> bool:
     return objective.structure().structure != "interior"
 
 
-def stand(both: Objective, alone: Objective, gains: Sequence[FloatArray] | None = None) -> bool:
+def both_beat_insides(
+    both: Objective, alone: Objective, gains: Sequence[FloatArray] | None = None
+) -> bool:
     """Whether both surely explain more than insides alone, or the membranes of both are clear.
 
     Insides alone follow a membrane as unevenness, so once insides are evened, both gain little over
@@ -265,9 +271,9 @@ def stand(both: Objective, alone: Objective, gains: Sequence[FloatArray] | None 
     if more_than_insides(both, gains):
         return True
     clear = both.now.light.membrane > 0 and insides_over(both) <= RULES.hidden
-    denied = enough([-gains[0]], RULES.clear)
+    denied = gains_exceed_error([-gains[0]], RULES.clear)
     less = both.leaves_over(alone) <= 1
-    return bool(clear and less and not denied and enough(gains[1:], RULES.clear))
+    return bool(clear and less and not denied and gains_exceed_error(gains[1:], RULES.clear))
 
 
 def more_than_insides(both: Objective, gains: Sequence[FloatArray]) -> bool:
@@ -276,7 +282,9 @@ def more_than_insides(both: Objective, gains: Sequence[FloatArray]) -> bool:
     With insides evened as well, unless these vary too little to look like a membrane.
     """
     asked = errors_asked(both)
-    return enough(gains[1:], asked) and (enough(gains[:1], asked) or are_even(both))
+    return gains_exceed_error(gains[1:], asked) and (
+        gains_exceed_error(gains[:1], asked) or are_even(both)
+    )
 
 
 def are_even(both: Objective) -> bool:
@@ -303,7 +311,7 @@ def _explains_more(one: Objective, other: Objective) -> bool:
     unevenness speaks for it, and unevenness itself speaks for whatever has more of it (chromatin,
     for a membrane).
     """
-    return enough(gains_over(one, other), errors_asked(one))
+    return gains_exceed_error(gains_over(one, other), errors_asked(one))
 
 
 def errors_asked(one: Objective) -> float:
@@ -314,7 +322,7 @@ def errors_asked(one: Objective) -> float:
     return RULES.errors if one.terms.settings.structure == "auto" else 0.0
 
 
-def enough(gains: Sequence[FloatArray], errors: float) -> bool:
+def gains_exceed_error(gains: Sequence[FloatArray], errors: float) -> bool:
     """Whether each of these sums over blocks is so many times its error, and enough nats."""
     least = [max(RULES.nats, errors * np.sqrt((gain**2).sum())) for gain in gains]
     return all(gain.sum() > bound for gain, bound in zip(gains, least, strict=True))
@@ -345,7 +353,7 @@ def begun(terms: Terms, fitted: Fitted, factored: Preconditioners) -> Objective:
     return Objective(terms, fitted, CollisionGuard(terms.settings.collisions), factored)
 
 
-def gone_on(objective: Objective) -> tuple[Objective, int]:
+def descend_and_pose_anew(objective: Objective) -> tuple[Objective, int]:
     """A few steps down; the objective as it is posed there, and evaluations."""
     there, taken = stepped(objective)
     end = there.anew()

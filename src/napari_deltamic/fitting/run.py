@@ -211,7 +211,7 @@ class Run:
         fitted = fitted.seen_through(at.fitted.optics)
         if all_shines:
             fitted = at.choice.anew(fitted)
-        progress = Progress(again=not all_shines)
+        progress = Progress(asked_again=not all_shines)
         stage = replace(at.stage, level_number=len(at.levels) - 1, progress=progress)
         self._go_on_at(Position(fitted, stage, at.settings))
         self._context.reporter.other_mesh(fitted.mesh)

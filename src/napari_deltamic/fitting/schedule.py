@@ -126,7 +126,7 @@ class Progress:
         Whether it is clear what shines.
     answered
         Whether that was asked at rest since the surface last went elsewhere.
-    again
+    asked_again
         Whether what had left was asked for again, for the last time.
     unsure
         Whether what else might shine explained as much, or nearly so: membranes when they were
@@ -146,7 +146,7 @@ class Progress:
     rests: int = 0
     sure: bool = False
     answered: bool = False
-    again: bool = False
+    asked_again: bool = False
     unsure: bool = False
     nuclei: bool = False
 

@@ -16,7 +16,7 @@ from .fit_objective import Terms
 from .fitted import Fitted
 from .gains import gains_over
 from .preconditioner import Preconditioners
-from .rival_structures import RULES, begun, enough, gone_on, moved_in
+from .rival_structures import RULES, begun, descend_and_pose_anew, gains_exceed_error, moved_in
 
 _ALIKE = (3 / 5) ** 0.5  # exact: of a ball and a sphere with equal second moments
 
@@ -50,13 +50,13 @@ def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
     volume: 2.8; the others had at most 2.5, and insides that need no evening (1.0 to 1.1).
     """
     factored = Preconditioners()
-    stay, taken = gone_on(begun(terms, fitted, factored))
-    rival, more = gone_on(begun(terms, other_alone(terms, fitted), factored))
+    stay, taken = descend_and_pose_anew(begun(terms, fitted, factored))
+    rival, more = descend_and_pose_anew(begun(terms, other_alone(terms, fitted), factored))
     evened, measured = gains_over(rival, stay)
     if fitted.structure == "interior":
-        surely = stay.unevenness() > RULES.hollow and enough([measured], RULES.clear)
+        surely = stay.unevenness() > RULES.hollow and gains_exceed_error([measured], RULES.clear)
     else:
-        surely = enough([evened], RULES.errors)
+        surely = gains_exceed_error([evened], RULES.errors)
     return (rival.fitted if surely else None), taken + more
 
 
