@@ -54,7 +54,7 @@ CELL_COLUMNS = (
     *error_columns("cells"),
     *columns(
         """
-        cut_by_border: yes where it reaches beyond the outermost voxels, else no
+        cut_by_border: yes where it reaches the centres of the outermost voxels, else no
         explained: share of what varies around it that the fit explains
         grade: good, fair or poor: how good its shape is
         shape_error_um: what its surface is thought to be off by: noise, misfit, prior, what the
