@@ -314,3 +314,30 @@ def test_one_nucleus_with_a_bright_rim_and_dark_nucleoli_do_not_hide_the_others(
     assert found.bright
     assert matched(found.labels, labels) == 1
     assert found.labels.max() == 12
+
+
+def ball(gap):
+    """Labels and image: three cells, parted by gaps, um; or, with 0, one nucleus with chromatin."""
+    at = (np.stack(np.indices((25, 50, 50)), -1) + 0.5) * VOXEL - 5
+    angles = 0.3 + 2 * np.pi * np.arange(3) / 3
+    towards = at[..., 1:] @ np.stack([np.sin(angles), np.cos(angles)])
+    near = np.sort(towards, axis=-1)
+    apart = (near[..., 2] - near[..., 1]) / np.sqrt(3) >= gap / 2  # the distance from a wall
+    inside = np.linalg.norm(at, axis=-1) < 3.5
+    rng = np.random.default_rng(3)
+    if gap:
+        labels = np.where(inside & apart, towards.argmax(-1) + 1, 0)
+        light = np.append(0.0, rng.uniform(0.7, 1.3, 3))[labels]
+    else:
+        labels = inside.astype(int)
+        grain = gaussian_filter(rng.normal(size=labels.shape), (1.2, 2.4, 2.4))
+        light = labels * np.clip(1 + 0.3 * grain / grain.std(), 0, None)
+    return labels, rng.poisson(4 + 60 * gaussian_filter(light, (0.8, 1.0, 1.0)))
+
+
+@pytest.mark.parametrize("gap", [0.3, 0.0])
+def test_a_clump_is_parted_by_dark_walls_and_a_nucleus_with_chromatin_is_one(gap):
+    labels, image = ball(gap)
+    found = cells_of(image, VOXEL).labels
+    assert found.max() == labels.max() == (3 if gap else 1)
+    assert matched(found, labels) == 1

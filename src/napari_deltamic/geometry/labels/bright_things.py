@@ -136,8 +136,7 @@ def ended(seen: Smoothed, parts: Labels, depth: FloatArray) -> Labels:
 
     parts : (Z, Y, X) labels. depth : (Z, Y, X) um, below the surface of what they are parts of.
     """
-    smooth, around = seen.smooth, seen.known & (parts == 0)
-    dark = float(np.median(smooth[around])) if around.any() else float(smooth.min())
+    smooth, dark = seen.smooth, ground_beside(seen, parts)
     ends = np.full(int(parts.max()) + 1, np.inf)
     for k, box in enumerate(ndimage.find_objects(parts), 1):
         if box is not None:
@@ -151,6 +150,12 @@ def ended(seen: Smoothed, parts: Labels, depth: FloatArray) -> Labels:
             largest = int(np.bincount(pieces[pieces > 0]).argmax())
             kept[box][(pieces > 0) & (pieces != largest)] = 0
     return kept
+
+
+def ground_beside(seen: Smoothed, parts: Labels) -> float:
+    """How bright it is beside the parts; the darkest voxel where nothing is."""
+    around = seen.known & (parts == 0)
+    return float(np.median(seen.smooth[around])) if around.any() else float(seen.smooth.min())
 
 
 def _hollow(smooth: Image, parts: Labels, depth: FloatArray) -> float:
