@@ -47,12 +47,15 @@ def ground_again(problem: Problem, fitted: Fitted) -> Problem | None:
     if problem.foreign is None or problem.anew is None or problem.anew >= RULES.times:
         return None
     mesh, grid = fitted.mesh, problem.grid
+    before = surface_shares(problem.counted, grid, mesh)
+    if all(1 - share < RULES.own for share in before.values()):
+        return None  # however many voxels came to them
     added, measured = offset(fitted.effects, grid), problem.counted | problem.foreign
     image = problem.image if added is None else problem.image - added.numpy()
     image = np.where(measured, image, np.nan).astype(np.float32)
     own = counted_voxels(image, grid, mesh, fitted.first_optics) & measured
     counted = own | problem.counted
-    before, now = (surface_shares(known, grid, mesh) for known in (problem.counted, counted))
+    now = surface_shares(counted, grid, mesh)
     if all(now[cell] - before[cell] < RULES.own for cell in before):
         return None
     return with_ground(problem, counted, problem.anew + 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..common.choices import Structure
+from ..common.kept import Kept
 from ..fourier.devices import for_objects
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene import Renderer
@@ -24,7 +25,7 @@ from .imaging import Imaging
 from .level import Level, Voxels, differences
 from .likelihood import Match, explained, total
 from .preconditioner import Preconditioner
-from .prediction import View, as_floats
+from .prediction import View, as_floats, mixed
 from .saturation import censored
 from .tempering import tempered_variance
 from .unequal_insides import Insides
@@ -47,6 +48,7 @@ class Look:
     structure: Structure
     mesh: Mesh
     dimmed: NDArray[np.float32] | None = None
+    _parts: Kept[Tensor] = field(default_factory=lambda: Kept(2), repr=False)
 
     def rendered(
         self,
@@ -55,8 +57,22 @@ class Look:
         effects: Effects | None = None,
         level: Level | None = None,
     ) -> Tensor:
-        """(Z, Y, X) with the effects as they are now, or others."""
-        level, imaging = level or self.level, self.imaging
+        """(Z, Y, X) with the effects as they are now, or others.
+
+        Membranes and insides are rendered once each: a light is a sum of the two.
+        """
+        if effects is not None or level is not None:
+            return self._made(at, light, effects, level or self.level)
+
+        def part(one: Light) -> Tensor:
+            key = at, self.insides, one
+            return self._parts.get(key, lambda: self._made(at, one, None, self.level))
+
+        both = (light.membrane, MEMBRANES), (light.interior, INSIDES)
+        return mixed([(by, part(one)) for by, one in both if by])
+
+    def _made(self, at: Variables, light: Light, effects: Effects | None, level: Level) -> Tensor:
+        imaging = self.imaging
         renderer = self.renderer if effects is None else self.renderer.with_effects(effects)
         there = for_objects(level.device)
         with torch.no_grad():
@@ -71,25 +87,26 @@ class Look:
         self, at: Variables, light: Light | None = None, level: Level | None = None
     ) -> tuple[Voxels, Light]:
         """Those that count, and what shines, where it is not told."""
-        level = level or self.level
-        width = max((level.optics or self.imaging.optics).sigma_um)
         membranes = self.rendered(at, MEMBRANES, level=level)
 
         def plain(effects: Effects) -> Tensor:
             return self.rendered(at, MEMBRANES, effects, level)
 
-        index = level.near(membranes, self.imaging.effects, plain, width)
-        flat = level.target.reshape(-1)[index]
+        def image(one: Light) -> Tensor:
+            return membranes if one == MEMBRANES else self.rendered(at, one, level=level)
+
+        here = level or self.level
+        width = max((here.optics or self.imaging.optics).sigma_um)
+        index = here.near(membranes, self.imaging.effects, plain, width)
+        flat = here.target.reshape(-1)[index]
         voxels = Voxels(index, flat, torch.ones_like(flat))
 
         def shown(one: Light) -> Tensor:
-            image = membranes if one == MEMBRANES else self.rendered(at, one, level=level)
-            return voxels.of(image)
+            return voxels.of(image(one))
 
-        measured = self._measured(voxels, level)
+        measured = self._measured(voxels, here)
         light = light or light_of(self.structure, shown, measured, voxels.weights)
-        rendered = membranes if light == MEMBRANES else self.rendered(at, light, level=level)
-        return level.weighted(index, rendered, self.imaging.effects), light
+        return here.weighted(index, image(light), self.imaging.effects), light
 
     def _measured(self, voxels: Voxels, level: Level) -> Tensor:
         added = level.offset(self.imaging.effects)

@@ -79,7 +79,7 @@ class _Shining:
     image: Tensor | None
 
 
-def _mixed(parts: Sequence[tuple[float, Tensor]]) -> Tensor:
+def mixed(parts: Sequence[tuple[float, Tensor]]) -> Tensor:
     """Weighted sum of one or two tensors."""
     each = [part if by == 1 else by * part for by, part in parts]
     return each[0] if len(each) == 1 else each[0] + each[1]
@@ -196,8 +196,8 @@ class Prediction:
         light = light_of(self._structure, shown, measured, view.voxels.weights)
         both = (light.membrane, MEMBRANES), (light.interior, INSIDES)
         each = [(by, of) for by, of in both if by]
-        image = _mixed([(by, images[of]) for by, of in each]) if images else None
-        spectrum = _mixed([(by, part(of)) for by, of in each])
+        image = mixed([(by, images[of]) for by, of in each]) if images else None
+        spectrum = mixed([(by, part(of)) for by, of in each])
         return _Shining(spectrum, self._insides.shining(light, as_floats(at.insides)), image)
 
     def images(self, at: Variables, light: Light | None = None) -> list[FloatArray]:

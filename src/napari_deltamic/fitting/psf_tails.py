@@ -54,13 +54,11 @@ class TailRules:
 RULES = TailRules()
 
 
-def tails_instead(
-    terms: Terms, fitted: Fitted, image: Tensor
-) -> tuple[GaussianMixturePSF | None, int]:
+def tails_instead(terms: Terms, fitted: Fitted, image: Tensor) -> tuple[Fitted | None, int]:
     """Two Gaussians that explain an image clearly better than the one that was fitted.
 
-    Returns them as they were before the steps, None if one is held or explains about as much; and
-    the evaluations that this took.
+    Returns the fit with them, as far as it went; None if one is held or explains about as much.
+    Also the evaluations that this took.
 
     Parameters
     ----------
@@ -83,7 +81,7 @@ def tails_instead(
 
     # What shines is held: else light of membranes might explain more, and the tails get the credit.
     rival, taken = stepped(begun(terms, fitted.seen_through(tailed), Preconditioners()), hopeless)
-    return (tailed if share_left(rival, image) < RULES.left else None), taken
+    return (rival.fitted if share_left(rival, image) < RULES.left else None), taken
 
 
 def _about(fitted: Fitted, voxel_size: Widths) -> Widths | None:

@@ -23,6 +23,7 @@ from .stage import Stage
 from .state import FitState
 from .successor import is_given_up, successor
 from .surface_upkeep import SurfaceUpkeep
+from .topology import TopologyPolicy
 from .watch import Watch, unwatched
 
 
@@ -201,19 +202,23 @@ class Run:
             watch=self._context.watch,
         )
 
-    def go_on_at(self, fitted: Fitted, all_shines: bool) -> None:
+    def go_on_at(
+        self, fitted: Fitted, all_shines: bool, policy: TopologyPolicy | None = None
+    ) -> None:
         """Begin at the last level, where another fit has ended.
 
         all_shines : whether all that may shine does again; else what did in the end stays, and what
-        else might shine is not asked again.
+        else might shine is not asked again. policy : of the other fit, where what it tried of the
+        topology is not tried again.
         """
         at = self._level.at
-        fitted = fitted.seen_through(at.fitted.optics)
         if all_shines:
             fitted = at.choice.anew(fitted)
         progress = Progress(asked_again=not all_shines)
         stage = replace(at.stage, level_number=len(at.levels) - 1, progress=progress)
         self._go_on_at(Position(fitted, stage, at.settings))
+        if policy is not None:
+            self._context.upkeep.go_on_with(policy)
         self._context.reporter.other_mesh(fitted.mesh)
 
     def let_former_go(self) -> Run | None:

@@ -15,7 +15,6 @@ from ..optics.narrow import narrower_than_told
 from .checkpoint import Checkpoint, former_in, objective_in, problem_in
 from .fit_objective import Objective, Terms
 from .fitted import Arrays, Fitted
-from .found_psf import FoundPSF
 from .ground_again import ground_again
 from .light_cone import (
     ABERRATED,
@@ -28,6 +27,7 @@ from .light_cone import (
 from .problem import Problem
 from .psf_tails import HAS_TAILS, tails_instead
 from .stage import Stage
+from .topology import TopologyPolicy
 
 OWN_LIGHT = (
     "light that was assigned to other objects is the cell's own: the fit goes on with more voxels"
@@ -60,7 +60,9 @@ class Ending(Protocol):
     def let_former_go(self) -> Self | None: ...
     def checkpoint(self) -> Checkpoint: ...
     def go_on_from(self, kept: Arrays) -> None: ...
-    def go_on_at(self, fitted: Fitted, all_shines: bool) -> None: ...
+    def go_on_at(
+        self, fitted: Fitted, all_shines: bool, policy: TopologyPolicy | None = None
+    ) -> None: ...
     def posed_here(self) -> Objective: ...
     def come_back(self, stage: Stage, tried: int) -> None: ...
 
@@ -82,16 +84,19 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
     if problem is not None:
         run.say(OWN_LIGHT)
         further = run.on_ground(problem)
-        further.go_on_at(run.fitted, all_shines=True)
+        further.go_on_at(run.fitted.seen_through(run.fitted.first_optics), all_shines=True)
         return further, False
-    for number, instead in enumerate((objective_instead, tails_instead), 1):
-        if run.stage.psfs_tried >= number or (number > 1 and run.stage.edited):
-            continue
-        found, taken = instead(run.terms, run.fitted, run.objective.now.rendered)
+    if not run.stage.psfs_tried:
+        optics, taken = objective_instead(run.terms, run.fitted, run.objective.now.rendered)
         run.spend(taken)
-        if found is not None:
-            following = None if run.stage.edited else _through(run, found)
-            return following, isinstance(found, ThroughObjective)
+        if optics is not None:
+            return (None if run.stage.edited else _through(run, optics)), True
+    if run.stage.psfs_tried < 2 and not run.stage.edited:
+        tailed, taken = tails_instead(run.terms, run.fitted, run.objective.now.rendered)
+        run.spend(taken)
+        if tailed is not None:
+            run.say(HAS_TAILS)
+            return _going_on(run, tailed, all_shines=False), False
     return None, False
 
 
@@ -118,21 +123,30 @@ def resumed(run: Run, kept: Arrays) -> Run:
     return following
 
 
-def _through(run: Run, optics: FoundPSF) -> Run:
-    """The run that follows with this PSF."""
-    former = run.again(run.fitted.first_optics)
-    former.go_on_from(run.checkpoint().saved())
-    following = run.again(optics, former)
+def _through(run: Run, optics: ThroughObjective) -> Run:
+    """The run that follows with the PSF of an objective."""
     if isinstance(optics, ScalarPSF):
         run.say(ANEW)
-        return following
+        return run.again(optics, _former(run))
     if spherical_of(optics):  # much of it
         run.say(ABERRATED)
-        return following
-    tailed = isinstance(optics, GaussianMixturePSF)
-    run.say(HAS_TAILS if tailed else GOES_ON)
-    following.go_on_at(run.fitted, all_shines=not tailed)
+        return run.again(optics, _former(run))
+    run.say(GOES_ON)
+    return _going_on(run, run.fitted.seen_through(optics), all_shines=True)
+
+
+def _going_on(run: Run, fitted: Fitted, all_shines: bool) -> Run:
+    """The run that follows from here with another PSF; see :meth:`~.run.Run.go_on_at`."""
+    following = run.again(fitted.first_optics, _former(run))
+    following.go_on_at(fitted, all_shines, run.checkpoint().policy)
     return following
+
+
+def _former(run: Run) -> Run:
+    """A run at its end, to be held against one that follows."""
+    former = run.again(run.fitted.first_optics)
+    former.go_on_from(run.checkpoint().saved())
+    return former
 
 
 def is_given_up(run: Run, former: Run | None) -> bool:

@@ -111,6 +111,10 @@ class SurfaceUpkeep:
         self._topology.drop()
         self._topology.restart()
 
+    def go_on_with(self, policy: TopologyPolicy) -> None:
+        """Another fit was here before: what it tried is not tried again."""
+        self._topology = TopologyTrials(self._problem, policy)
+
     # ------------------------------------------------------------------------------ checkpoints
 
     def saved(self) -> dict[str, float]:
@@ -119,5 +123,5 @@ class SurfaceUpkeep:
 
     def resume(self, policy: TopologyPolicy, remeshing: dict[str, float]) -> None:
         """Go on from a checkpoint."""
-        self._topology = TopologyTrials(self._problem, policy)
+        self.go_on_with(policy)
         self._remeshing.resume(remeshing)
