@@ -85,7 +85,7 @@ def test_run_toml_runs_again_identically(data, tmp_path, run):
 @pytest.mark.usefixtures("judged")
 @pytest.mark.parametrize("made", [widefield_of, confocal_of])
 def test_run_toml_has_the_psf_that_a_fit_went_on_with(data, tmp_path, run, monkeypatch, made):
-    def states(job, resume=None, watch=None):
+    def states(job, resume=None):
         few = job.settings.fit.model_copy(update={"max_iterations": 2})
         given = job.image, job.grid, job.mesh
         yield next(iter(fit(*given, job.optics, settings=few)))

@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 import napari_deltamic as nd
 from napari_deltamic import Mesh
-from napari_deltamic.fitting.convergence import Patches, strayed_off, vertex_normals
+from napari_deltamic.fitting.convergence import Patches, drifted, strayed_off, vertex_normals
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 
@@ -39,6 +39,23 @@ def test_the_worst_place_is_found_and_is_that_of_a_patch():
 def test_noise_of_single_vertices_is_no_movement():
     rough = np.random.default_rng(0).normal(size=len(PLACES))[:, None] * NORMALS
     assert worst(rough).move < 0.8 * worst(NORMALS).move * np.abs(rough).max()
+
+
+def test_a_surface_drifts_as_a_whole_and_not_in_a_few_places():
+    rough = np.random.default_rng(0).normal(size=len(PLACES))[:, None] * NORMALS
+    assert drifted(0.1 * rough, NORMALS, BALL) == pytest.approx(0.1, rel=0.1)
+    assert drifted(0.1 * NORMALS, NORMALS, BALL) > 0.1
+    few = np.linalg.norm(PLACES - [1, 0, 0], axis=1) < 2.2 * EDGE
+    assert drifted(few[:, None] * NORMALS, NORMALS, BALL) == 0
+    assert drifted(np.cross(NORMALS, [0, 0, 1.0]), NORMALS, BALL) < 1e-12
+
+
+def test_one_cell_of_several_that_drifts_does_count():
+    ends = [BALL.with_vertices(PLACES + np.array([3.0 * k, 0, 0])) for k in range(3)]
+    three = Mesh.merge([Mesh(m.vertices, m.faces, m.regions * (k + 1)) for k, m in enumerate(ends)])
+    along = np.concatenate([NORMALS] * 3)
+    moves = np.repeat([0.0, 0.0, 0.1], len(PLACES))[:, None] * along
+    assert drifted(moves, along, three) > 0.1
 
 
 def test_vertices_that_slide_along_the_surface_do_not_count():

@@ -13,6 +13,7 @@ from napari_deltamic.fitting.found_psf import psf_from, values_of
 from napari_deltamic.fitting.imaging import Imaging
 from napari_deltamic.fitting.job import FitInput, following, optics_of, scene_with
 from napari_deltamic.fitting.psf_tails import HAS_TAILS, RULES, core_and_tails, tails_instead
+from napari_deltamic.fitting.schedule import Schedule
 from napari_deltamic.fitting.successor import BACK, successor
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
@@ -65,6 +66,7 @@ def test_a_fit_goes_on_with_a_core_and_tails():
     assert set(kinds[told + 1 :]) == {nd.GaussianMixturePSF}
     assert [state.iteration for state in states()] == list(range(1, len(kinds) + 1))
     assert [state.converged for state in states()] == [False] * (len(kinds) - 1) + [True]
+    assert len(kinds) - told < Schedule().patience  # the patience of the level is over
     assert not states()[-1].cone
     assert off(states()[-1]) < 0.5 * off(states()[told])
     found, true = (
@@ -94,7 +96,7 @@ def test_a_fit_goes_back_where_tails_explain_less(monkeypatch):
         asked.append(fitted.optics)
         z, y, x = fitted.optics.sigma_um
         far_off = nd.GaussianMixturePSF([(8 * z, 4 * y, 4 * x)] * 2, (1.0, 1.0), fitted=["mass2"])
-        return far_off, 1
+        return fitted.seen_through(far_off), 1
 
     monkeypatch.setattr("napari_deltamic.fitting.successor.tails_instead", tried)
     found = list(begun())
@@ -122,12 +124,23 @@ def test_another_psf_is_not_asked_where_it_is_known(optics, fit_psf, second):
     assert tails_instead(terms, fitted, None) == (None, 0)
 
 
+class Seen:
+    """A fit through another PSF, and what it is after a few steps."""
+
+    def __init__(self, optics):
+        self.begun = optics
+
+    @property
+    def fitted(self):
+        return self
+
+
 @pytest.mark.parametrize(("left", "found"), [(0.99 * RULES.left, True), (1.01 * RULES.left, False)])
 def test_tails_have_to_explain_much_more(monkeypatch, left, found):
     monkeypatch.setattr(psf_tails, "begun", lambda terms, fitted, factored: fitted)
     monkeypatch.setattr(psf_tails, "stepped", lambda rival, hopeless: (rival, 7))
     monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: left)
-    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT, seen_through=lambda optics: optics)
+    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT, seen_through=Seen)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
     tailed, taken = tails_instead(terms, fitted, None)
     assert (tailed is not None, taken) == (found, 7)
@@ -145,15 +158,14 @@ def test_tails_begin_as_wide_across_as_voxels_tell(monkeypatch, now, across):
     monkeypatch.setattr(psf_tails, "begun", lambda terms, fitted, factored: fitted)
     monkeypatch.setattr(psf_tails, "stepped", lambda rival, hopeless: (rival, 7))
     monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: 0.5)
-    fitted = SimpleNamespace(
-        optics=nd.GaussianPSF(now), first_optics=ABOUT, seen_through=lambda optics: optics
-    )
+    fitted = SimpleNamespace(optics=nd.GaussianPSF(now), first_optics=ABOUT, seen_through=Seen)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
     tailed, _ = tails_instead(terms, fitted, None)
     if across is None:
         assert tailed is None
         return
-    widths = {name: float(value) for name, value in tailed.values.items() if name[-1] in "zyx"}
+    values = tailed.begun.values
+    widths = {name: float(value) for name, value in values.items() if name[-1] in "zyx"}
     assert [widths[f"sigma{n}_{a}"] for n in (1, 2) for a in "yx"] == pytest.approx([across] * 4)
     assert widths["sigma1_z"] == pytest.approx(RULES.core * now[0])
 
@@ -171,7 +183,7 @@ def test_steps_end_where_they_gain_too_little(monkeypatch, shares, stops):
     monkeypatch.setattr(psf_tails, "begun", lambda terms, fitted, factored: fitted)
     monkeypatch.setattr(psf_tails, "stepped", stepped)
     monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: next(left, 1.0))
-    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT, seen_through=lambda optics: optics)
+    fitted = SimpleNamespace(optics=ABOUT, first_optics=ABOUT, seen_through=Seen)
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
     tails_instead(terms, fitted, None)
     assert asked == [False, stops]
@@ -198,6 +210,31 @@ def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
         assert successor(run, True) == (None, False)
         assert asked == ["objective_instead", "tails_instead"][2 - expected :]
         assert spent == [3] * expected
+
+
+def test_a_fit_with_tails_goes_on_where_the_steps_ended(monkeypatch):
+    answers = {"objective_instead": (None, 3), "tails_instead": (Seen(TAILED), 3)}
+    for name, answer in answers.items():
+        there = f"napari_deltamic.fitting.successor.{name}"
+        monkeypatch.setattr(there, lambda *given, answer=answer: answer)
+    monkeypatch.setattr(Seen, "first_optics", TAILED, raising=False)
+    went_on = []
+    run = SimpleNamespace(
+        let_former_go=lambda: None,
+        stage=SimpleNamespace(edited=False, psfs_tried=0),
+        problem=SimpleNamespace(foreign=None),
+        terms=None,
+        fitted=Seen(ABOUT),
+        objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),
+        spend=lambda evaluations: None,
+        say=went_on.append,
+        checkpoint=lambda: SimpleNamespace(saved=dict, policy="what was tried"),
+        again=lambda optics, former=None: SimpleNamespace(
+            go_on_from=lambda kept: None, go_on_at=lambda *given: went_on.append(given)
+        ),
+    )
+    successor(run, True)
+    assert went_on == [HAS_TAILS, (answers["tails_instead"][0], False, "what was tried")]
 
 
 def test_a_run_that_was_edited_is_not_asked_for_tails(monkeypatch):

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import napari_deltamic as nd
+from napari_deltamic.common.doing import heard
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting import (
     hidden_membranes,
@@ -198,18 +199,20 @@ def test_membranes_come_back_where_labels_reached_out_too_far(light, name):
     assert abs(last.mesh.region_volume(1) / cell().region_volume(1) - 1) < 0.03
 
 
-def test_who_watches_is_told_of_a_comparison_and_may_end_the_fit():
+def test_who_listens_hears_of_a_comparison_and_may_end_the_fit():
     """Membranes and insides are compared where a fit of insides is at rest."""
 
     class Stopped(Exception):
         pass
 
-    def stop():
-        raise Stopped
+    def stop(what):
+        if what == "comparing models":
+            raise Stopped
 
     start = cell().with_vertices(MIDDLE + (cell().vertices_numpy() - MIDDLE) * 1.1)
     settings = FitSettings(structure="auto", levels=(1.0,))
-    states = nd.fit(image_of(INSIDES), GRID, start, OPTICS, settings=settings, watch=stop)
+    states = nd.fit(image_of(INSIDES), GRID, start, OPTICS, settings=settings)
+    states = heard(states, stop)
     first = next(states)
     assert first.iteration == 1  # an iteration is no comparison
     with pytest.raises(Stopped):

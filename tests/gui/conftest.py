@@ -171,7 +171,7 @@ def seeded(make_widget, with_image):
 def endless(monkeypatch):
     """Fits that go on until they are stopped; a change may be sent into them."""
 
-    def states(job, watch=None):
+    def states(job):
         states = fit(
             job.image,
             job.grid,

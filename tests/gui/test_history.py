@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from napari_deltamic.common.doing import doing
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.light_cone import confocal_of
 from napari_deltamic.gui.running import footer, run_control, worker
@@ -121,7 +122,7 @@ def swapped(monkeypatch):
     """Fits that begin anew with another kind of PSF after two states, and end when they are let."""
     gate = threading.Event()
 
-    def states(job, watch=None):
+    def states(job):
         few = job.settings.fit.model_copy(update={"max_iterations": 3})
         given = job.image, job.grid, job.mesh
         begun = list(fit(*given, job.optics, settings=few))[:2]
@@ -214,7 +215,7 @@ def test_a_step_that_takes_long_is_told_instead_of_a_time_that_stands_still(
 ):
     gate, states, text = threading.Event(), worker.start, seeded.footer.message.text
 
-    def slow(job, watch):
+    def slow(job):
         for k, state in enumerate(states(job)):
             assert k != 4 or gate.wait(20)
             yield state
@@ -233,18 +234,18 @@ def test_a_step_that_takes_long_is_told_instead_of_a_time_that_stands_still(
 def test_a_comparison_of_models_is_told_and_can_be_stopped(seeded, spin, monkeypatch):
     states, text = worker.start, seeded.footer.message.text
 
-    def comparing(job, watch):
+    def comparing(job):
         for k, state in enumerate(states(job)):
             while k == 2:  # it yields no state
                 time.sleep(0.01)
-                watch()
+                doing("comparing models")
             yield state
 
     monkeypatch.setattr(worker, "start", comparing)
     monkeypatch.setattr(footer, "_LONG", 0.2)
     monkeypatch.setattr(footer, "_USUAL", 0.0)
     seeded.start()
-    spin(lambda: text() == "comparing other models: 1 s so far; 2 iterations")
+    spin(lambda: text() == "comparing models: 1 s so far; 2 iterations")
     seeded.stop()
     spin(lambda: not seeded.doc.run.running)
     assert seeded.running.verdict.text().startswith("stopped")

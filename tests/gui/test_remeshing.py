@@ -39,7 +39,7 @@ def gate(monkeypatch):
         assert not np.array_equal(done.mesh.faces, mesh.faces)
         return Change(mesh=done.mesh, pinned=done.fixed)
 
-    def states(job, watch=None):
+    def states(job):
         states = fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
         change, opened = None, False
         while True:

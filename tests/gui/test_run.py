@@ -243,7 +243,7 @@ def test_other_layers_can_be_removed_while_it_runs(seeded, with_image, spin, end
     ],
 )
 def test_an_error_of_the_engine_is_told_in_words(seeded, spin, monkeypatch, told, error, words):
-    def states(job, watch=None):
+    def states(job):
         for n, state in enumerate(
             fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
         ):
@@ -261,7 +261,7 @@ def test_an_error_of_the_engine_is_told_in_words(seeded, spin, monkeypatch, told
 
 
 def test_a_remark_on_the_way_stands_behind_the_verdict(seeded, spin, monkeypatch):
-    def states(job, watch=None):
+    def states(job):
         for state in fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit):
             yield replace(state, message="it leaks") if state.iteration == 3 else state
 
@@ -418,7 +418,7 @@ def test_the_voxel_size_is_the_scale_of_the_layer(make_widget, with_image):
 
 
 def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
-    def states(job, watch=None):
+    def states(job):
         for state in fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit):
             k = state.iteration
             yield replace(state, message=f"cells {k} and 9 meet") if k in (2, 3, 4) else state
@@ -445,7 +445,7 @@ def test_the_verdict_is_one_line_with_a_list_behind(seeded, spin, monkeypatch):
 def test_a_fit_that_begins_anew_with_another_psf(seeded, spin, monkeypatch, tmp_path, made):
     """Settings, forecast and session follow the kind of PSF."""
 
-    def states(job, watch=None):
+    def states(job):
         few = job.settings.fit.model_copy(update={"max_iterations": 3})
         given = job.image, job.grid, job.mesh
         yield from list(fit(*given, job.optics, settings=few))[:2]

@@ -66,9 +66,9 @@ def test_a_region_is_in_no_file(seeded, second, monkeypatch):
 def test_its_image_reaches_the_fit(seeded, second, spin, monkeypatch, pixels):
     jobs, start = [], worker.start
 
-    def noted(job, watch):
+    def noted(job):
         jobs.append(job)
-        return start(job, watch=watch)
+        return start(job)
 
     monkeypatch.setattr(worker, "start", noted)
     seeded.settings.max_iterations.setValue(3)

@@ -175,7 +175,7 @@ def test_a_reopened_session_goes_on(seeded, spin, tmp_path, reopened):
 
 
 def test_while_a_fit_runs_its_newest_state_is_saved(seeded, spin, tmp_path, monkeypatch, reopened):
-    def states(job, watch=None):
+    def states(job):
         while True:
             yield from fit(job.image, job.grid, job.mesh, job.optics, settings=job.settings.fit)
 

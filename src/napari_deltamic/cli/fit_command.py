@@ -11,6 +11,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from ..common.doing import heard
 from ..common.writing import interrupts_held, own_folder, write_atomically
 from ..errors import PROGRAM, InputError, failure
 from ..evidence import analyse_residual, recommend_for
@@ -49,7 +50,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         doubts = tell_doubts(job)
         _tell_outlook(job, notes)
         course = _Run(job, folder, notes, auto, arguments.residual)
-        states = start(job, arguments.resume, watch=course.comparing)
+        states = start(job, arguments.resume)
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error
     with own_folder(folder):
@@ -87,7 +88,6 @@ class _Run:
         self.last: FitState | None = None
         self.started = time.monotonic()
         self.has_settings = self.has_results = False  # whether the folder has them
-        self._bar: Bar | None = None
 
     def complete(self, states: Iterator[FitState]) -> int:
         """Drive the fit to its end, or to that of the user's patience, and write the results."""
@@ -138,20 +138,14 @@ class _Run:
         self._take_over(with_recommended(self.job, found))
         self.history = History()
         self.last = replace(self.last, message="")  # its verdict is not that of what comes
-        return start(self.job, watch=self.comparing)
-
-    def comparing(self) -> None:
-        """Tell that the fit compares models, and makes no iteration meanwhile."""
-        if self._bar is not None:
-            self._bar.tell("comparing models")
+        return start(self.job)
 
     def _follow(self, states: Iterator[FitState]) -> None:
         saved = time.monotonic()
         terminal = sys.stderr.isatty()
         # How many iterations a fit takes is not known, so there is no share and no time left.
         with Bar(unit="it", file=sys.stderr, mininterval=0.2 if terminal else 10.0) as bar:
-            self._bar = bar
-            for state in states:
+            for state in heard(states, bar.tell):
                 if self.last is not None and self.last.message:
                     self.notes.add(self.last.message)
                 self.last = state

@@ -100,8 +100,9 @@ class Bar(tqdm):  # type: ignore[misc]
     _told = 0.0  # s: when it last said what is done meanwhile
 
     def tell(self, text: str) -> None:
-        """Say what is done meanwhile, as often as it says how far it is."""
-        self.set_description_str(text, refresh=False)
+        """Say what is done meanwhile, as often as it says how far it is; '' for the same."""
+        if text:
+            self.set_description_str(text, refresh=False)
         if time.monotonic() - self._told >= self.mininterval:
             self.refresh()
             self._told = time.monotonic()

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import TypeVar
 
+T = TypeVar("T")
 Listener = Callable[[str], None]
 _LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
@@ -28,3 +30,14 @@ def listening(listener: Listener) -> Iterator[None]:
         yield
     finally:
         _LISTENER.reset(before)
+
+
+def heard(items: Iterator[T], listener: Listener) -> Iterator[T]:
+    """The same items; what is done to make each is heard."""
+    while True:
+        with listening(listener):
+            try:
+                item = next(items)
+            except StopIteration:
+                return
+        yield item

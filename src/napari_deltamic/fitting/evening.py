@@ -24,6 +24,8 @@ from scipy.ndimage import maximum_filter
 from ..common.gaussian_blur import blurred
 from ..geometry.mesh import FloatArray
 
+Image = NDArray[np.floating]  # single precision will do, in half of the memory
+
 
 @dataclass(frozen=True)
 class EveningRules:
@@ -103,11 +105,11 @@ class Unevenness:
         (Z, Y, X) bool: the voxels that it was read from.
     """
 
-    gain: FloatArray
+    gain: Image
     variance: float
     deep: NDArray[np.bool_]
 
-    def weights(self, weights: FloatArray, shown: FloatArray, noise: FloatArray) -> FloatArray:
+    def weights(self, weights: FloatArray, shown: Image, noise: Image) -> FloatArray:
         """(N,) of evened voxels whose insides are known as well as they vary.
 
         Parameters
@@ -124,7 +126,7 @@ class Unevenness:
         return weights / (1 + weights * further)
 
 
-def deepest(share: FloatArray, widths: FloatArray) -> NDArray[np.bool_]:
+def deepest(share: Image, widths: FloatArray) -> NDArray[np.bool_]:
     """Voxels that see more of an inside than those near them do, and some of it.
 
     All (Z, Y, X); widths : (3,) of the PSF, voxels. In a cell as flat as the PSF is long, no voxel
@@ -143,10 +145,10 @@ def deepest(share: FloatArray, widths: FloatArray) -> NDArray[np.bool_]:
 
 
 def unevenness(
-    insides: FloatArray,
-    shown: FloatArray,
-    share: FloatArray,
-    noise: FloatArray,
+    insides: Image,
+    shown: Image,
+    share: Image,
+    noise: Image,
     widths: FloatArray,
     counted: NDArray[np.bool_],
     flat: bool = False,
@@ -178,7 +180,7 @@ def unevenness(
         deep, found = alone, _read(insides, shown, noise, alone, widths)
     if found is None:
         return None
-    variance = float(np.var(found.ratio[deep]))
+    variance = float(np.var(found.ratio[deep], dtype=np.float64))
     believed = 1 - RULES.noise * found.by_noise / max(variance, 1e-300)
     if believed <= 0:
         return None
@@ -193,21 +195,21 @@ class _Read:
     broad : the same, smoothed as widely as takes most of the time; made where it is asked for.
     """
 
-    ratio: FloatArray
+    ratio: Image
     by_noise: float
     deep: NDArray[np.bool_]
-    broad: Callable[[], FloatArray]
+    broad: Callable[[], Image]
 
     def varies_finely(self) -> float:
         """Variance of what is not as broad, without what noise makes of it."""
         fine = self.ratio / np.maximum(self.broad(), RULES.least)
-        return float(np.var(fine[self.deep])) - self.by_noise
+        return float(np.var(fine[self.deep], dtype=np.float64)) - self.by_noise
 
 
 def _read(
-    insides: FloatArray,
-    shown: FloatArray,
-    noise: FloatArray,
+    insides: Image,
+    shown: Image,
+    noise: Image,
     deep: NDArray[np.bool_],
     widths: FloatArray,
 ) -> _Read | None:
@@ -216,9 +218,9 @@ def _read(
         return None
     size = RULES.width * widths
 
-    def smooth(image: FloatArray, times: float = 1.0) -> FloatArray:
-        of_deep = np.where(deep, image, 0.0)
-        return np.asarray(blurred(of_deep, (times * size).tolist(), RULES.cut_off), float)
+    def smooth(image: Image, times: float = 1.0) -> NDArray[np.float32]:
+        of_deep = np.where(deep, image, np.float32(0))
+        return blurred(of_deep, (times * size).tolist(), RULES.cut_off)
 
     own, model = smooth(insides), smooth(shown)
     faint = _FADES * float(model.max())
@@ -226,12 +228,12 @@ def _read(
         return None
     ratio = (own + faint) / (model + faint)
 
-    def broad() -> FloatArray:
+    def broad() -> Image:
         return (smooth(insides, RULES.broad) + faint) / (smooth(shown, RULES.broad) + faint)
 
     # Of a sum of independent voxels under a Gaussian filter; in places, as dim cells are noisier
     # beside bright ones.
     independent = float(np.prod(2 * np.sqrt(np.pi) * size))
     summed = smooth(noise**2, 0.5**0.5) / independent
-    by_noise = float(np.mean((summed / (model + faint) ** 2)[deep]))
+    by_noise = float(np.mean((summed / (model + faint) ** 2)[deep], dtype=np.float64))
     return _Read(ratio, by_noise, deep, broad)

@@ -31,7 +31,6 @@ from .run import Run
 from .second_view import Pixels
 from .state import FitState, load_checkpoint
 from .successor import resumed
-from .watch import Watch, unwatched
 
 
 def fit(
@@ -47,7 +46,6 @@ def fit(
     second: np.ndarray | None = None,
     resume: str | Path | None = None,
     counted_may_change: bool = False,
-    watch: Watch = unwatched,
 ) -> Generator[FitState, Change | None, None]:
     """Fit a mesh to an image; yields a state after every iteration and ends by itself.
 
@@ -86,9 +84,6 @@ def fit(
     counted_may_change
         Whether voxels that were left out may count where, at its end, much of a surface lies in
         them and they are as near as its own (:mod:`.ground_again`).
-    watch
-        Called at every step of a comparison with other models, which yields no state and may take
-        minutes; what it raises ends the fit.
 
     Raises
     ------
@@ -120,7 +115,7 @@ def fit(
     problem.counted_with(effects)  # refuses what leaves too few
     if counted_may_change and problem.second is None:
         problem = replace(problem, anew=0)
-    run = Run(problem, mesh, optics, settings, effects, watch=watch)
+    run = Run(problem, mesh, optics, settings, effects)
     if resume is not None:
         run = resumed(run, load_checkpoint(resume))
     run.say(*repairs)

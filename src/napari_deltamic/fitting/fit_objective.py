@@ -19,7 +19,7 @@ from ..geometry.vectors import lengths
 from ..runs.settings import FitSettings
 from .amplitudes import inside_over_membrane
 from .collisions import CollisionGuard
-from .convergence import Patches, Remaining, vertex_normals
+from .convergence import Patches, Remaining, drifted, vertex_normals
 from .deep_insides import RULES as DEEP
 from .deep_insides import (
     UNKNOWN,
@@ -47,7 +47,6 @@ from .prediction import View, as_floats
 from .schedule import Schedule
 from .structure_choice import Chosen, chosen
 from .tempering import block_centres, block_sums
-from .watch import Watch, unwatched
 
 _STRAYED = 0.97  # of as far as vertices may go: only rounding and the guard keep it from all of it
 
@@ -66,8 +65,6 @@ class Terms:
         Whether densities are unknowns; whether PSF and effects may be.
     last
         Whether it is the last level.
-    watch
-        See :func:`~.fit.fit`.
     """
 
     level: Level
@@ -77,7 +74,6 @@ class Terms:
     density_fitted: bool
     imaging_fitted: bool
     last: bool
-    watch: Watch = unwatched
 
 
 class Objective:
@@ -321,5 +317,5 @@ class Objective:
         found = self._patches.worst(
             normals, free * step.vertices, gradient, tolerance, schedule.gain
         )
-        drifted = ((at.vertices - self._passed[0]) * normals).sum(1)
-        return replace(found, drift=float(np.sqrt((drifted**2).mean())))
+        moved = at.vertices - self._passed[0]
+        return replace(found, drift=drifted(moved, normals, self.fitted.mesh))

@@ -26,7 +26,6 @@ from .default_accuracy import image_noise
 from .found_psf import settings_of
 from .shape_dial import Situation, dialled, with_edges
 from .voxel_ownership import counted_around
-from .watch import Watch, unwatched
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +157,7 @@ def assemble(
     )
 
 
-def start(
-    job: FitInput, resume: str | Path | None = None, watch: Watch = unwatched
-) -> Iterator[FitState]:
+def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]:
     """Start the fit; see :func:`napari_deltamic.fit`."""
     return fit(
         job.image,
@@ -173,5 +170,4 @@ def start(
         second=job.second,
         resume=resume,
         counted_may_change=True,
-        watch=watch,
     )

@@ -150,7 +150,6 @@ class LevelRun:
             at.choice.density_fitted(at.fitted, at.stage),
             not at.choice.first(at.stage),
             at.last,
-            self._context.watch,
         )
 
     def posed(self, views: Sequence[View] = ()) -> Objective:
@@ -334,7 +333,9 @@ class LevelRun:
         reporter.happened(self._context.upkeep.events())
         if fitted is at.fitted:
             return False
-        self.at = at.holding(fitted).progressed(at.stage.progress.released())
+        # In a few places: what shines is what did.
+        progress = replace(at.stage.progress.released(), answered=at.stage.progress.answered)
+        self.at = at.holding(fitted).progressed(progress)
         reporter.other_mesh(fitted.mesh)
         return True
 

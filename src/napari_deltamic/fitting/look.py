@@ -12,7 +12,7 @@ from torch import Tensor
 from ..common.choices import Structure
 from ..common.kept import Kept
 from ..fourier.devices import for_objects
-from ..geometry.mesh import FloatArray, Mesh
+from ..geometry.mesh import Mesh
 from ..scene import Renderer
 from ..scene.effects import Effects
 from ..scene.light import INSIDES, MEMBRANES, Light
@@ -34,6 +34,9 @@ from .variables import Variables
 # Rounds to the brightness that cut voxels tell while the shape stays, at most, and when it is
 # found, of itself. Chosen: each round is a Newton step, and few take more than ten.
 _BRIGHTER, _ALIKE = 20, 1e-3
+
+
+Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -176,22 +179,22 @@ class Look:
             return voxels
         volume = float(np.prod(level.grid.voxel_size)) * level.volume_ratio
         alone = rendered if not light.membrane else self.rendered(at, replace(light, membrane=0.0))
-        shown, share = found.amplitude * as_floats(alone), as_floats(alone) / light.interior
+        shown, share = found.amplitude * _single(alone), _single(alone) / light.interior
         if at.insides.any():
             alike = replace(at, insides=np.zeros_like(at.insides))
-            share = as_floats(self.rendered(alike, INSIDES))
-        share /= volume
-        model = found.amplitude * as_floats(rendered) + found.background
+            share = _single(self.rendered(alike, INSIDES))
+        share = share / volume
+        model = found.amplitude * _single(rendered) + found.background
         insides = self._likely(voxels, model, given) - (model - shown)
         widths = np.asarray(self.imaging.optics.sigma_um) / np.asarray(level.grid.voxel_size)
-        noise = as_floats(differences(torch.from_numpy(insides - shown)))
+        noise = _single(differences(torch.from_numpy(insides - shown)))
         counted = level.counted.cpu().numpy()
         flat = all_flat(self.mesh, self.imaging.start)
         shown = shown if self.dimmed is None else self.dimmed * shown
         uneven = unevenness(insides, shown, share, noise, widths, counted, flat)
         if uneven is None and self.dimmed is None:
             return voxels
-        even = np.ones(level.grid.shape) if uneven is None else uneven.gain
+        even = np.float32(1) if uneven is None else uneven.gain
         told = even if self.dimmed is None else self.dimmed * even
         index = voxels.index.cpu().numpy()
         gain, own = (torch.from_numpy(i.reshape(-1)[index]) for i in (told, insides))
@@ -201,18 +204,18 @@ class Look:
         # Beside a membrane that is off, dim insides look uneven; of cut ones, that is a guess.
         if uneven is not None and seen > EVENING.trusted and voxels.full is None:
             bright, left = (i.reshape(-1)[index] for i in (shown, noise))
-            trusted = uneven.weights(as_floats(weights), bright, left / as_floats(gain))
+            trusted = uneven.weights(as_floats(weights), bright, left / _single(gain))
             weights = torch.from_numpy(trusted).to(weights)
         return replace(voxels, measured=evened, weights=weights)
 
-    def _likely(self, voxels: Voxels, model: FloatArray, given: Tensor) -> FloatArray:
+    def _likely(self, voxels: Voxels, model: Singles, given: Tensor) -> Singles:
         """(Z, Y, X) measured, less what effects add; of cut voxels, the mean of what may have been.
 
         model : (Z, Y, X). given : as for :meth:`evened`.
         """
         level = self.level
         added = level.offset(self.imaging.effects)
-        image = as_floats(level.target if added is None else level.target - added)
+        image = _single(level.target if added is None else level.target - added)
         if voxels.full is None:
             return image
         image, index = image.copy(), voxels.index.cpu().numpy()
@@ -299,3 +302,8 @@ class Look:
         brightness = found.amplitude * volume * level.volume_ratio
         sharp = light.membrane**2 / (4 * width**3) + light.interior**2 / (2 * width)
         return weight * brightness**2 * sharp / (np.sqrt(np.pi) * volume)
+
+
+def _single(image: Tensor) -> Singles:
+    """On the CPU, in single precision: whole images, of which doubles take gigabytes."""
+    return image.detach().cpu().numpy().astype(np.float32, copy=False)

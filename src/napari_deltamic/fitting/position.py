@@ -16,7 +16,6 @@ from .schedule import Progress, Schedule
 from .shape import Shape
 from .stage import Stage
 from .surface_upkeep import SurfaceUpkeep
-from .watch import Watch, unwatched
 
 
 @dataclass(frozen=True)
@@ -91,8 +90,6 @@ class RunContext:
         What keeps the surface sound, and what tells of it.
     begun
         Where the run began.
-    watch
-        See :func:`~.fit.fit`.
     schedule, factored
         When levels end; factors of the metric that are there already.
     """
@@ -101,7 +98,6 @@ class RunContext:
     upkeep: SurfaceUpkeep
     reporter: Reporter
     begun: Shape
-    watch: Watch = unwatched
     schedule: Schedule = field(default_factory=Schedule)
     factored: Preconditioners = field(default_factory=Preconditioners)
 

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from ..common.choices import Structure
+from ..common.doing import doing
 from ..geometry.mesh import FloatArray
 from ..geometry.outwards import outwards
 from .amplitudes import inside_over_membrane
@@ -372,7 +373,7 @@ def stepped(
     if hopeless(objective):
         return objective, objective.evaluations()
     for step in range(1, RULES.steps + 1):
-        objective.terms.watch()
+        doing("comparing models")  # which yields no state, and may take minutes
         moved, since = objective.step(), since + 1
         if step == RULES.steps or (not moved and since == 1):  # posed anew, it would not move
             break

@@ -24,7 +24,6 @@ from .state import FitState
 from .successor import is_given_up, successor
 from .surface_upkeep import SurfaceUpkeep
 from .topology import TopologyPolicy
-from .watch import Watch, unwatched
 
 
 class Run:
@@ -42,8 +41,6 @@ class Run:
         Where counts go on from; None at the very start.
     former
         A run at its end, which goes on if it explains more than this one does at its own.
-    watch
-        See :func:`~.fit.fit`.
     """
 
     def __init__(
@@ -55,7 +52,6 @@ class Run:
         effects: Effects,
         stage: Stage | None = None,
         former: Run | None = None,
-        watch: Watch = unwatched,
     ) -> None:
         levels = settings.levels or WIDE_LEVELS
         settings = settings.model_copy(update={"levels": levels})
@@ -65,7 +61,7 @@ class Run:
         fitted = Fitted.begun(mesh, optics, effects, model, settings.structure)
         self._start, self._former = fingerprint(mesh), former
         upkeep = SurfaceUpkeep(problem, mesh, min(optics.sigma_um), settings.collisions)
-        self._context = RunContext(problem, upkeep, Reporter(mesh), fitted.shape, watch)
+        self._context = RunContext(problem, upkeep, Reporter(mesh), fitted.shape)
         stage = stage or Stage(0, fitted.optics)
         self._level = LevelRun(self._context, Position(fitted, stage, settings))
         self._kept: Arrays = {}
@@ -177,16 +173,14 @@ class Run:
     def again(self, optics: Optics, former: Run | None = None) -> Run:
         """A run from the same start with another PSF; former : what it is held against."""
         begun, effects = self._context.begun.mesh, self.fitted.first_effects
-        stage, watch = self.stage.begun_anew(optics), self._context.watch
         return Run(
             self._context.problem,
             begun,
             optics,
             self._level.at.settings,
             effects,
-            stage,
+            self.stage.begun_anew(optics),
             former,
-            watch,
         )
 
     def on_ground(self, problem: Problem) -> Run:
@@ -199,7 +193,6 @@ class Run:
             self._level.at.settings,
             effects,
             self.stage.begun_anew(optics),
-            watch=self._context.watch,
         )
 
     def go_on_at(
@@ -207,14 +200,15 @@ class Run:
     ) -> None:
         """Begin at the last level, where another fit has ended.
 
-        all_shines : whether all that may shine does again; else what did in the end stays, and what
-        else might shine is not asked again. policy : of the other fit, where what it tried of the
-        topology is not tried again.
+        all_shines : whether all that may shine does again; else what did in the end stays, what
+        else might shine is not asked again, and the patience of the level is over.
+        policy : of the other fit, where what it tried of the topology is not tried again.
         """
         at = self._level.at
         if all_shines:
             fitted = at.choice.anew(fitted)
-        progress = Progress(asked_again=not all_shines)
+        patience = 0 if all_shines else self._context.schedule.patience
+        progress = Progress(iterations=patience, asked_again=not all_shines)
         stage = replace(at.stage, level_number=len(at.levels) - 1, progress=progress)
         self._go_on_at(Position(fitted, stage, at.settings))
         if policy is not None:

@@ -37,9 +37,10 @@ class Schedule:
         About one patch of a small surface.
     drift
         Nor does it end while the surface as a whole still drifts, within a window by more than so
-        many times the tolerance. Down a valley, where surface, brightness and PSF stand in for each
-        other, each step gains little and hides how far it still goes: a nucleus ended 24 % too
-        small. Measured: other small fits end at 0.2 to 2 times.
+        many times the tolerance (:func:`~.convergence.drifted`). Down a valley, where surface,
+        brightness and PSF stand in for each other, each step gains little and hides how far it
+        still goes: a nucleus ended 24 % too small. Measured: other small fits end at 0.2 to 2
+        times.
     patience, doubled_every
         Iterations of the level that make that while, and those after which that share has doubled:
         an embryo in haze had explained ever more by ever narrower membranes, and lay 0.58 voxel off

@@ -158,8 +158,10 @@ class FitRun(Task):
 
     def _fit(self, job: FitInput) -> Generator[None]:
         began, waited = time.monotonic(), 0.0
-        states: Any = start(job, watch=self._watched)
-        state, change = next(states, None), None
+        states: Any = start(job)
+        change: Change | None = None
+        with listening(self.step):
+            state = next(states, None)
         while state is not None:
             self.reached = state, self._changes  # both at once: the main thread looks whenever
             self._follow(state)
@@ -178,16 +180,13 @@ class FitRun(Task):
             self.stage = "fitting"
             waited += time.monotonic() - pause
             change = self._taken(state)
-            try:
-                state = states.send(change)
-            except StopIteration:
-                state = None
+            with listening(self.step):
+                try:
+                    state = states.send(change)
+                except StopIteration:
+                    state = None
         if self.state is not None:
             self._publish(self.state, must=True)
-
-    def _watched(self) -> None:
-        """While other models are compared, which yields no state."""
-        self.step("comparing other models")
 
     def _follow(self, state: FitState) -> None:
         """The fit may have begun anew with another kind of PSF."""

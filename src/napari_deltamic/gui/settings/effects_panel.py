@@ -9,6 +9,7 @@ from typing import Any
 
 from qtpy.QtWidgets import QFormLayout, QWidget
 
+from ...common.doing import heard
 from ...errors import InputError
 from ...evidence import Recommendation, recommend_for
 from ...evidence.camera import Camera
@@ -207,8 +208,7 @@ def _check(
     state, job = fitted, prepare()
     yield
     if state is None:
-        compared = partial(question.step, "fitting: comparing other models")
-        for state in start(job, watch=compared):
+        for state in heard(start(job), lambda what: question.step(what and f"fitting: {what}")):
             question.step(f"fitting: iteration {state.iteration}")
             yield
     assert state is not None, "a fit yields at least one state"
