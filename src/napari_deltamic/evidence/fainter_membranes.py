@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..common.triple import geometric_mean
 from ..fitting.posed import Posed
 from ..fitting.refits import Alternative
 from ..fitting.responses import Responses
@@ -66,7 +67,7 @@ def fainter_membranes(posed: Posed, responses: Responses, state: FitState) -> Al
 
 def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitState, FloatArray]:
     """A state with surfaces further in, and what they moved by, (V, 3) um."""
-    width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
+    width = geometric_mean(state.optics.sigma_um)
     mesh, light, depth = state.mesh, state.light, widths * width
     moved = -depth * outwards(mesh)
     moved[_of_those_turned_over(mesh, moved)] = 0.0

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..common.triple import geometric_mean
 from ..fitting.amplitudes import RULES as AMPLITUDES
 from ..fitting.amplitudes import hardly_wider
 from ..fitting.by_hand import is_by_hand
@@ -78,7 +79,7 @@ def facts_of(
         narrow=job.settings.fit.fit_psf and narrow,
         cells=_cells(job, state, left, images),
         error=predicted_error(job, state),
-        voxel=float(np.prod(size) ** (1 / 3)),
+        voxel=geometric_mean(size),
         cut=share_cut(pixels),
         compressed=compressed(pixels),
         sharpened=state.light.interior > 0

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..common.triple import geometric_mean
 from ..fitting.state import FitState
 from ..geometry.mesh import OUTSIDE
 from ..geometry.topology.thin_places import thin_places
@@ -39,7 +40,7 @@ RULES = FoldRules()
 def folds(state: FitState) -> dict[int, tuple[float, float, float]]:
     """Where the largest fold of each cell is, (z, y, x) in um; cells without one are left out."""
     mesh, edge = state.mesh, state.mesh.median_edge()
-    width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
+    width = geometric_mean(state.optics.sigma_um)
     areas = mesh.areas()
 
     def folded(region: int, sides: tuple[int, ...]) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 import torch
 
+from ..common.triple import geometric_mean
 from ..errors import InputError
 from ..fitting.convergence import Patches, vertex_normals
 from ..fitting.errors_of_measures import posed_at
@@ -210,7 +211,7 @@ class _Patches:
     """Means over patches as wide as the PSF."""
 
     def __init__(self, state: FitState) -> None:
-        width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
+        width = geometric_mean(state.optics.sigma_um)
         self._patches = Patches(state.mesh, width)
         self._normals = vertex_normals(state.mesh.vertices_numpy(), state.mesh.faces)
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..common.triple import geometric_mean
 from ..fitting.state import FitState
 from ..geometry.mesh import OUTSIDE
 
@@ -46,7 +47,7 @@ def unseen_walls(state: FitState) -> dict[int, int]:
     Cells without such a wall are left out, and walls of which all surfaces of both cells consist.
     """
     mesh, areas = state.mesh, state.mesh.areas()
-    width = float(np.prod(state.optics.sigma_um) ** (1 / 3))
+    width = geometric_mean(state.optics.sigma_um)
     inner, outer = (
         state.light.interior * state.light.of_cells(side) * (side != OUTSIDE)
         for side in mesh.regions.T

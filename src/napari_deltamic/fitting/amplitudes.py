@@ -14,6 +14,7 @@ import numpy as np
 from torch import Tensor
 
 from ..common.choices import Structure, StructureChoice
+from ..common.triple import geometric_mean
 from ..errors import InputError
 from ..fourier.devices import widest
 from ..geometry.mesh import FloatArray, Mesh
@@ -113,7 +114,7 @@ def _inside_alone(slope: float) -> Light:
 
 def inside_over_membrane(light: Light, widths: Sequence[float] | FloatArray) -> float:
     """How bright an inside is over the peak of a flat membrane's image; widths : (3,) um, PSF."""
-    peak = abs(light.membrane) / (np.sqrt(2 * np.pi) * float(np.prod(widths)) ** (1 / 3))
+    peak = abs(light.membrane) / (np.sqrt(2 * np.pi) * geometric_mean(widths))
     return abs(light.interior) / max(peak, 1e-300)
 
 
@@ -163,5 +164,5 @@ def hardly_wider(volume: float, optics: Optics, times: float = 1.0) -> bool:
     times : factor of the radius up to which they do.
     """
     radius = np.cbrt(3 / (4 * np.pi) * abs(volume))
-    least = times * RULES.telling * float(np.prod(optics.sigma_um)) ** (1 / 3)
+    least = times * RULES.telling * geometric_mean(optics.sigma_um)
     return bool(radius <= least)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from skimage.segmentation import find_boundaries
 
+from ..common.triple import geometric_mean
 from ..errors import InputError, RepairWarning
 from ..geometry.labels.meshes import mesh_from_labels
 from ..geometry.labels.voxels import voxel_labels
@@ -171,7 +172,7 @@ def around_nuclei(terms: Terms, objective: Objective) -> tuple[Fitted | None, bo
     asked = asked and isinstance(fitted.optics, GaussianPSF | GaussianMixturePSF)
     if not asked or objective.now.light.interior <= 0 or fitted.shape.pinned.any():
         return None, False, 0
-    width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
+    width = geometric_mean(fitted.first_optics.sigma_um)
     cells = _with_nuclei(fitted.mesh, terms.level.grid, RULES.begin / 2 * width)
     if cells is None:
         return None, False, 0
@@ -232,7 +233,7 @@ def _followed(terms: Terms, both: Objective, cells: _Cells) -> tuple[Objective, 
 
 def _thickness(rival: Objective, cells: _Cells) -> float:
     """Widths of the PSF that the two borders of the cytoplasm are apart."""
-    width = float(np.prod(rival.fitted.optics.sigma_um) ** (1 / 3))
+    width = geometric_mean(rival.fitted.optics.sigma_um)
     return cells.thickness(rival.fitted.mesh) / width
 
 

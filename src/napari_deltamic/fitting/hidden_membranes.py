@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ..common.choices import Structure
+from ..common.triple import geometric_mean
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import MEMBRANES
 from .amplitudes import all_flat, all_small
@@ -195,7 +194,7 @@ def _from_further_in(
 ) -> _Trial:
     """Both, from further in than insides alone; most : times that they are followed."""
     fitted = alone.fitted
-    width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
+    width = geometric_mean(fitted.first_optics.sigma_um)
     vertices = moved_in(fitted.shape, RULES.further_in * width, terms.settings.collisions)
     both = fitted.displaced(vertices, fitted.first_optics).with_density("interface")
     rival, taken = descend_and_pose_anew(begun(terms, both.with_structure("both"), factored))
@@ -269,7 +268,7 @@ def _membranes_further_in(terms: Terms, fitted: Fitted) -> Fitted:
     Through the PSF as it is fitted: from a narrow one, they take longer. To it, top and bottom of
     flat cells are one layer, which would follow any chromatin if its brightness were smooth.
     """
-    depth = RULES.within * float(np.prod(fitted.optics.sigma_um) ** (1 / 3))
+    depth = RULES.within * geometric_mean(fitted.optics.sigma_um)
     vertices = moved_in(fitted.shape, depth, terms.settings.collisions)
     begin = fitted.displaced(vertices, fitted.optics).with_structure("membrane")
     return begin.with_density("interface") if _are_flat(fitted) else begin

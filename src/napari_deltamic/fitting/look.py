@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..common.choices import Structure
 from ..common.kept import Kept
+from ..common.triple import geometric_mean
 from ..fourier.devices import for_objects
 from ..geometry.mesh import Mesh
 from ..scene import Renderer
@@ -298,7 +299,7 @@ class Look:
         values = voxels.of(rendered).clamp(min=0)
         weight = float(total(voxels.weights * values) / total(values).clamp(min=1e-30))
         volume = float(np.prod(level.grid.voxel_size))
-        width = level.factor * float(np.prod(self.imaging.optics.sigma_um)) ** (1 / 3)
+        width = level.factor * geometric_mean(self.imaging.optics.sigma_um)
         brightness = found.amplitude * volume * level.volume_ratio
         sharp = light.membrane**2 / (4 * width**3) + light.interior**2 / (2 * width)
         return weight * brightness**2 * sharp / (np.sqrt(np.pi) * volume)

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..common.choices import Structure
+from ..common.triple import geometric_mean
 from ..geometry.bending import BendingEnergy
 from ..geometry.cell_bending import CellBending
 from ..geometry.junction_bending import JunctionBending
@@ -106,7 +107,7 @@ def pose(
         at = look.with_density(voxels, at, light, rendered, smoother)
         rendered = look.rendered(at, light)
     stiffness = level.settings.bending
-    width = float(np.prod(imaging.optics.sigma_um)) ** (1 / 3)
+    width = geometric_mean(imaging.optics.sigma_um)
     walls = CellBending(shape.mesh) if structure == "interior" else BendingEnergy(shape.mesh, width)
     junctions = JunctionBending(shape.mesh, width)
 

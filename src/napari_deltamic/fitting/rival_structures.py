@@ -17,6 +17,7 @@ from scipy.sparse import coo_array
 
 from ..common.choices import Structure
 from ..common.doing import doing
+from ..common.triple import geometric_mean
 from ..geometry.mesh import FloatArray
 from ..geometry.outwards import outwards
 from .amplitudes import inside_over_membrane
@@ -207,7 +208,7 @@ def insides_may_do(
     if insides_over(objective) > RULES.dim:
         begin = _alone_further_out(terms, both)
     else:
-        width = float(np.prod(fitted.optics.sigma_um) ** (1 / 3))
+        width = geometric_mean(fitted.optics.sigma_um)
         vertices = moved_in(fitted.shape, -RULES.out * width, terms.settings.collisions)
         begin = fitted.displaced(vertices, fitted.first_optics).with_structure("interior")
     rival, taken = descend_and_pose_anew(begun(terms, begin, factored))
@@ -248,7 +249,7 @@ def _alone_further_out(terms: Terms, both: Objective) -> Fitted:
     reaches a / c further out; further in, if it is darker than the medium.
     """
     fitted, light = both.fitted, both.now.light
-    width = float(np.prod(fitted.first_optics.sigma_um) ** (1 / 3))
+    width = geometric_mean(fitted.first_optics.sigma_um)
     further = light.membrane / light.interior if light.interior else 0.0
     further = float(np.clip(further, -width, width))
     vertices = moved_in(fitted.shape, -further, terms.settings.collisions)

@@ -18,6 +18,7 @@ from math import sqrt
 
 import numpy as np
 
+from ..common.triple import geometric_mean
 from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..geometry.remeshing import can_remesh, remesh
@@ -147,9 +148,9 @@ class Situation:
         """Of a start and an image with this noise ratio."""
         sizes = np.abs([v for v in mesh.volumes().values() if np.isfinite(v)])
         volume = float(np.median(sizes)) if len(sizes) and np.median(sizes) > 0 else np.inf
-        voxel = float(np.prod(grid.voxel_size) ** (1 / 3))
+        voxel = geometric_mean(grid.voxel_size)
         radius = (3 * volume / (4 * np.pi)) ** (1 / 3)
-        width = float(np.prod(sigma) ** (1 / 3))
+        width = geometric_mean(sigma)
         rims = min(1.0, _rim_length(mesh) * width / max(float(mesh.areas().sum()), 1e-300))
         return cls(noise, voxel, width, radius, mesh.median_edge(), rims)
 

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from ..common.choices import Structure
+from ..common.triple import geometric_mean
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene.light import INSIDES, MEMBRANES
 from .amplitudes import inside_over_membrane
@@ -140,7 +141,7 @@ def chosen(
     off, both 0.95 and 0.51.
     """
     membranes, insides = told(posterior, at, now, mesh)
-    voxel = float(np.prod(posterior.level.frame.voxel_size)) ** (1 / 3)
+    voxel = geometric_mean(posterior.level.frame.voxel_size)
 
     def stays(times: float) -> bool:
         errors, moves = times * RULES.errors, times * RULES.moves * voxel

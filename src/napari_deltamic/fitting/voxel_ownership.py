@@ -23,6 +23,7 @@ from scipy.ndimage import (
 )
 
 from ..common.doing import doing
+from ..common.triple import geometric_mean
 from ..errors import InputError, RepairWarning
 from ..geometry.labels.voxels import highest, voxel_labels
 from ..geometry.mesh import Mesh
@@ -234,7 +235,7 @@ def _radius(mesh: Mesh, optics: Optics) -> float:
     """Of the median cell, in widths of the PSF."""
     volume = float(np.median(list(mesh.volumes().values())))
     radius = np.cbrt(3 / (4 * np.pi) * abs(volume))
-    return float(radius / np.prod(optics.sigma_um) ** (1 / 3))
+    return float(radius / geometric_mean(optics.sigma_um))
 
 
 def _reach(bright: Mask, own: np.ndarray, around: Mask, least: float) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..common.triple import geometric_mean
 from ..errors import InputError
 from ..fitting import FitState
 from ..fitting.errors_of_measures import posed_at
@@ -13,7 +14,6 @@ from ..fitting.replicating import replicas_of
 from ..fitting.responses import responses_of
 from ..geometry.judgement import Judgement
 from ..geometry.replicas import Replicas
-from ..optics import Optics
 from ..runs.fit_settings import FitSettings
 from ..scene import Grid
 from .known import Known
@@ -43,16 +43,11 @@ def known_of(
     return Known(
         grid=grid,
         density=np.asarray(state.density, np.float64),
-        resolution=resolution_of(state.optics),
+        resolution=geometric_mean(state.optics.sigma_um),
         explained=explained or {},
         replicas=replicas,
         judgements=judgements or {},
     )
-
-
-def resolution_of(optics: Optics) -> float:
-    """um; the geometric mean of the PSF's standard deviations along the three axes."""
-    return float(np.prod(optics.sigma_um) ** (1 / 3))
 
 
 def replicas_at(

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import softshrink
 
 from ..common.one_thread import in_one_thread, one_thread
-from ..common.triple import Triple
+from ..common.triple import Triple, geometric_mean
 from ..fourier.falloff import Falloff
 from ..fourier.plan import Cutoff
 from .parameters import Parameter, Spec, as_value, bound, check_fitted, decode, encode, free_range
@@ -115,7 +115,7 @@ class ParametricPSF:
     def widened(self, by: float) -> Self:
         """A PSF of the same kind whose variance is larger by about the square of ``by`` (um)."""
         values = dict(self._values)
-        longer = float(np.hypot(1.0, by / np.prod(self.sigma_um) ** (1 / 3)))
+        longer = float(np.hypot(1.0, by / geometric_mean(self.sigma_um)))
         for name, value in values.items():
             if name.startswith("sigma"):
                 values[name] = torch.hypot(value, value.new_tensor(by))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..common.choices import IMAGE_FILES
 from ..common.description import described
-from ..common.triple import Triple
+from ..common.triple import Triple, geometric_mean
 from ..errors import InputError
 from ..evidence import analyse_residual
 from ..geometry import Mesh, load_mesh
@@ -148,7 +148,7 @@ def _of_folder(
         rendered, _ = read_image(path / "rendered.tif")
     sigma = _widths(report.get("optics"))
     known = Known(
-        resolution=0.0 if sigma is None else float(np.prod(sigma) ** (1 / 3)),
+        resolution=0.0 if sigma is None else geometric_mean(sigma),
         explained=_told(_explained, report.get("residual")),
         judgements=_told(_judgements, report.get("verdict")),
     )

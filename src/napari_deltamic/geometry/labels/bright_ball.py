@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from skimage.transform import downscale_local_mean
 
+from napari_deltamic.common.triple import geometric_mean
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 
 
@@ -130,7 +131,7 @@ def ball_at(
 
 def _balls(data: FloatArray, size: FloatArray, voxel: IntArray, largest: float) -> list[Ball]:
     """Those of all radii below the largest, from sums over shells, each a step thick."""
-    first = RULES.smallest * float(np.cbrt(np.prod(size)))
+    first = RULES.smallest * geometric_mean(size)
     if largest <= first:
         return []
     count = 1 + int(_STEPS * np.log2(largest / first))

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from napari_deltamic.common.triple import geometric_mean
 from napari_deltamic.geometry.labels.cell_rules import FINDING
-from napari_deltamic.geometry.labels.checked_image import checked_image, mean_side
+from napari_deltamic.geometry.labels.checked_image import checked_image
 from napari_deltamic.geometry.labels.clear_rims import noise_magnitudes
 from napari_deltamic.geometry.labels.find_cells import (
     Seen,
@@ -84,7 +85,7 @@ def _tries(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFound]:
     step = np.clip(step, 1, data.shape)
     seen = Seen(data, known, noise_magnitudes(data, known), voxel).coarsened(step)
     size, tries = FINDING.first_tried * float(extent.max()), list[SizeFound]()
-    while size >= FINDING.smallest_tried * mean_side(seen.voxel):
+    while size >= FINDING.smallest_tried * geometric_mean(seen.voxel):
         _, found = regions_of_size(seen, size, 0.0)
         sure = found.of(found.surely)
         if len(sure.names):

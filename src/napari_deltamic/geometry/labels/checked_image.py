@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from napari_deltamic.common.triple import geometric_mean
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry.labels.cell_rules import FINDING
 from napari_deltamic.geometry.labels.region_merging import Image
@@ -67,14 +68,9 @@ def checked_size(size: float, shape: tuple[int, ...], voxel: FloatArray) -> floa
             f"a cell of {diameter:g} um is larger than the image, whose longest side is"
             f" {longest:g} um"
         )
-    least = FINDING.least_voxels * mean_side(voxel)
+    least = FINDING.least_voxels * geometric_mean(voxel)
     if diameter < least:
         raise InputError(
             f"a cell of {diameter:g} um is too small for these voxels: at least {least:.3g} um"
         )
     return diameter
-
-
-def mean_side(voxel: FloatArray) -> float:
-    """The geometric mean of the sides of a voxel."""
-    return float(np.cbrt(np.prod(voxel)))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from napari_deltamic.common.triple import geometric_mean
 from napari_deltamic.geometry.labels.bright_ball import mean_of, squares
 from napari_deltamic.geometry.mesh import FloatArray, IntArray
 
@@ -106,7 +107,7 @@ def hollow_ball(data: FloatArray, size: FloatArray, voxel: IntArray) -> HollowBa
     voxel : (3,) index.
     """
     # Stacks of cells may be flat.
-    largest = float(np.sort(np.multiply(data.shape, size))[1]) / 2 / float(np.cbrt(np.prod(size)))
+    largest = float(np.sort(np.multiply(data.shape, size))[1]) / 2 / geometric_mean(size)
     radii = range(_THICK, 1 + int(_STEPS * np.log2(max(largest, 1))))
     best = _best(data, size, voxel, radii)
     blur = _blur(data, voxel)
@@ -171,7 +172,7 @@ def _best(data: FloatArray, size: FloatArray, middle: IntArray, radii: range) ->
 
 def _balls(data: FloatArray, size: FloatArray, middle: IntArray, radii: range) -> list[HollowBall]:
     """Those of some radii around a voxel, where enough of them lies in the image."""
-    side = float(np.cbrt(np.prod(size)))
+    side = geometric_mean(size)
     last = radii.stop + _GAP + _BEYOND
     upto, each = _sums(data, size, middle, side, last)
     balls = []

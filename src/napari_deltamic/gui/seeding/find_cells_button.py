@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from qtpy.QtWidgets import QPushButton, QWidget
 from superqt.utils import signals_blocked
 
+from ...common.triple import geometric_mean
 from ...common.words import counted
 from ...errors import InputError
 from ...evidence.tilted_ground import with_ground
@@ -130,7 +131,7 @@ class FindCells(QPushButton):
         if self._in_use is not None:
             self._say(self._in_use, voxel_size)
         sides = np.multiply(shape, voxel_size)
-        least = 4 * float(np.cbrt(np.prod(voxel_size)))  # less is refused
+        least = 4 * geometric_mean(voxel_size)  # less is refused
         if same:
             size = float(self.cell_size.value())
             self._set_size(size, least, max(float(sides.max()), size))
