@@ -32,7 +32,7 @@ from napari_deltamic.accuracy.log_chart import Chart
 from napari_deltamic.accuracy.shape_error import DRAWS, photons_for, shape_errors
 from napari_deltamic.accuracy.tradeoff import Way, measure_ways, with_front
 from napari_deltamic.common.words import duration
-from napari_deltamic.fitting.default_accuracy import accuracy_for_image, image_noise
+from napari_deltamic.fitting.model.default_accuracy import accuracy_for_image, image_noise
 from napari_deltamic.fourier.cost import Costs
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import NEAR_LEVELS, FitSettings

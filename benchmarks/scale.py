@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from napari_deltamic.fitting.collisions import CollisionGuard
-from napari_deltamic.fitting.growth_alarm import GrowthAlarm, shrunken
-from napari_deltamic.fitting.topology import _meet
+from napari_deltamic.fitting.surface.collisions import CollisionGuard
+from napari_deltamic.fitting.surface.growth_alarm import GrowthAlarm, shrunken
+from napari_deltamic.fitting.surface.topology import _meet
 from napari_deltamic.geometry import Mesh, mesh_from_labels, remesh
 from napari_deltamic.geometry.topology.crossings import crossings
 from napari_deltamic.geometry.topology.rearranging import give_way

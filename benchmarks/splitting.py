@@ -35,10 +35,10 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.evidence.camera import NoiseLine, camera_from_image
 from napari_deltamic.evidence.evidence_rules import CAMERA
 from napari_deltamic.fitting import FitState
-from napari_deltamic.fitting.convergence import Patches, vertex_normals
-from napari_deltamic.fitting.curvature import Curvature
-from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.fitting.job import FitInput, start
+from napari_deltamic.fitting.objective.convergence import Patches, vertex_normals
+from napari_deltamic.fitting.uncertainty.curvature import Curvature
+from napari_deltamic.fitting.uncertainty.errors_of_measures import posed_at
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.measure.surface_distance import distance_to_surface
 

@@ -162,6 +162,33 @@ def test_the_rooms_of_the_window_know_only_those_below_them():
     assert rooms == {}, "in a circle"
 
 
+FITTING = ("solvers", "model", "voxels", "surface", "objective", "rivals", "uncertainty")
+
+
+def test_the_rooms_of_a_fit_know_only_those_below_them():
+    """Those of the folders, in this order; what lies beside them is the fit itself."""
+    inside = {
+        name: path
+        for name, path in modules().items()
+        if name.startswith("napari_deltamic.fitting.")
+    }
+
+    def room(name):
+        last = name.split(".")[2]
+        return FITTING.index(last) if last in FITTING else len(FITTING)
+
+    assert {name.split(".")[2] for name, path in inside.items() if name.count(".") > 2} == set(
+        FITTING
+    )
+    wrong = [
+        f"{name} imports {target}"
+        for name, path in inside.items()
+        for target in imported(name, path)
+        if target in inside and room(target) > room(name)
+    ]
+    assert wrong == []
+
+
 def test_relative_imports_are_understood():
     path = PACKAGE / "fourier" / "plan.py"
     targets = set(imported("napari_deltamic.fourier.plan", path))

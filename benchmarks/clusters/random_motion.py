@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from napari_deltamic.fitting.collisions import CollisionGuard
+from napari_deltamic.fitting.surface.collisions import CollisionGuard
 from napari_deltamic.geometry import Mesh, remesh
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import smallest_angles

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from napari_deltamic.evidence.fitted_scene import FittedScene
 from napari_deltamic.evidence.image_model import ImageModel
 from napari_deltamic.evidence.modes import shape_modes
-from napari_deltamic.fitting.state import FitState
+from napari_deltamic.fitting.model.state import FitState
 from napari_deltamic.scene import Grid
 from napari_deltamic.scene.effects import Effects
 

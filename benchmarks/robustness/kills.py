@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from napari_deltamic import InputError, load_mesh
-from napari_deltamic.fitting.state import load_checkpoint
+from napari_deltamic.fitting.model.state import load_checkpoint
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.runs.settings import RunSettings
 

@@ -12,7 +12,7 @@ from napari_deltamic.accuracy.shape_error import (
     shrunk,
     simulated,
 )
-from napari_deltamic.fitting.default_accuracy import image_noise
+from napari_deltamic.fitting.model.default_accuracy import image_noise
 from napari_deltamic.fitting.shape_dial import Dialled
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.fit_settings import SHAPE_CHOICES

@@ -11,7 +11,7 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.cli import fit_command
 from napari_deltamic.fitting import fit
-from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
+from napari_deltamic.fitting.rivals.light_cone import confocal_of, widefield_of
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.results.report import FILES

@@ -8,11 +8,11 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.evidence.fainter_membranes import _with_membranes, fainter_membranes
 from napari_deltamic.evidence.predicted_error import predicted_error
-from napari_deltamic.fitting import curvature as limits
 from napari_deltamic.fitting import fit
-from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.fitting.job import FitInput
-from napari_deltamic.fitting.responses import responses_of
+from napari_deltamic.fitting.uncertainty import curvature as limits
+from napari_deltamic.fitting.uncertainty.errors_of_measures import posed_at
+from napari_deltamic.fitting.uncertainty.responses import responses_of
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 from synthetic import CENTER, GRID, OPTICS, RADIUS

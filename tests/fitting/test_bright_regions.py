@@ -4,8 +4,13 @@ from numpy.testing import assert_array_equal
 from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
-from napari_deltamic.fitting.bright_regions import STRANGER, _rising, bright_regions, without_start
-from napari_deltamic.fitting.voxel_ownership import counted_around, counted_voxels
+from napari_deltamic.fitting.voxels.bright_regions import (
+    STRANGER,
+    _rising,
+    bright_regions,
+    without_start,
+)
+from napari_deltamic.fitting.voxels.voxel_ownership import counted_around, counted_voxels
 from napari_deltamic.geometry import sphere
 
 GRID = Grid((20, 26, 44), (2.0, 1.0, 1.0))  # um

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from napari_deltamic import GaussianPSF, Grid, InputError
-from napari_deltamic.fitting.checks import check_image, check_mesh, check_psf
+from napari_deltamic.fitting.model.checks import check_image, check_mesh, check_psf
 from napari_deltamic.geometry import sphere
 
 GRID = Grid((4, 5, 6), (0.2, 0.1, 0.1), (1.0, 2.0, 3.0))

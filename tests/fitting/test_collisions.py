@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from napari_deltamic import Change, Mesh, fit, geometry
-from napari_deltamic.fitting import collisions as module
-from napari_deltamic.fitting.collisions import CollisionGuard
-from napari_deltamic.fitting.triangle_quality import Remeshing
+from napari_deltamic.fitting.surface import collisions as module
+from napari_deltamic.fitting.surface.collisions import CollisionGuard
+from napari_deltamic.fitting.surface.triangle_quality import Remeshing
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import Remeshed, can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses

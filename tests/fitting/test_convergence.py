@@ -6,7 +6,12 @@ from numpy.testing import assert_array_equal
 
 import napari_deltamic as nd
 from napari_deltamic import Mesh
-from napari_deltamic.fitting.convergence import Patches, drifted, strayed_off, vertex_normals
+from napari_deltamic.fitting.objective.convergence import (
+    Patches,
+    drifted,
+    strayed_off,
+    vertex_normals,
+)
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 

@@ -7,14 +7,14 @@ import pytest
 from benchmarks.double_bubble import DoubleBubble
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting import curvature as module
-from napari_deltamic.fitting.curvature import Curvature
-from napari_deltamic.fitting.directions import Directions
-from napari_deltamic.fitting.errors_of_measures import posed_at
-from napari_deltamic.fitting.normal_jacobian import Colouring, normal_jacobian
-from napari_deltamic.fitting.replicating import replicas_of
-from napari_deltamic.fitting.responses import Exact
-from napari_deltamic.fitting.state import FitState
+from napari_deltamic.fitting.model.state import FitState
+from napari_deltamic.fitting.uncertainty import curvature as module
+from napari_deltamic.fitting.uncertainty.curvature import Curvature
+from napari_deltamic.fitting.uncertainty.directions import Directions
+from napari_deltamic.fitting.uncertainty.errors_of_measures import posed_at
+from napari_deltamic.fitting.uncertainty.normal_jacobian import Colouring, normal_jacobian
+from napari_deltamic.fitting.uncertainty.replicating import replicas_of
+from napari_deltamic.fitting.uncertainty.responses import Exact
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import expected_image

@@ -9,8 +9,9 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting import dark_nuclei, model_choice
-from napari_deltamic.fitting.dark_nuclei import (
+from napari_deltamic.fitting import model_choice
+from napari_deltamic.fitting.rivals import dark_nuclei
+from napari_deltamic.fitting.rivals.dark_nuclei import (
     RULES,
     _followed,
     _with_nuclei,

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting.deep_insides import (
+from napari_deltamic.fitting.model_choice import ModelChoice
+from napari_deltamic.fitting.objective.deep_insides import (
     UNKNOWN,
     Cells,
     cells_in_their_box,
@@ -12,7 +13,6 @@ from napari_deltamic.fitting.deep_insides import (
     deep_brightness,
     variation,
 )
-from napari_deltamic.fitting.model_choice import ModelChoice
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.light import Light, structure_of
@@ -206,7 +206,7 @@ def test_dark_insides_are_shown_or_not():
 def test_a_fit_drops_dark_insides_that_the_image_does_not_show(shown, name, monkeypatch):
     """Both shine in this image, so that only what is tested here can take the insides away."""
     asked = []
-    target = "napari_deltamic.fitting.fit_objective.dark_insides_shown"
+    target = "napari_deltamic.fitting.objective.fit_objective.dark_insides_shown"
     monkeypatch.setattr(target, lambda *given: asked.append(given) or shown)
     noisy = np.random.default_rng(0).poisson(60 * image(-0.5)).astype(np.float32)
     start = sphere((3.0, 3.2, 3.1), 1.6, edge_length=0.3)

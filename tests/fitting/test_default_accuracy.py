@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import InputError
-from napari_deltamic.fitting.default_accuracy import (
+from napari_deltamic.fitting.model.default_accuracy import (
     COARSEST,
     FINEST,
     PRESETS,
@@ -13,7 +13,7 @@ from napari_deltamic.fitting.default_accuracy import (
     image_noise,
     preset_accuracy,
 )
-from napari_deltamic.fitting.likelihood import noise_ratio
+from napari_deltamic.fitting.model.likelihood import noise_ratio
 from synthetic import measured
 
 

@@ -4,10 +4,10 @@ import torch
 from numpy.testing import assert_allclose
 
 from napari_deltamic import Grid, Mesh, fit
-from napari_deltamic.fitting.density import RULES, Density
-from napari_deltamic.fitting.level import Level
-from napari_deltamic.fitting.likelihood import Match
-from napari_deltamic.fitting.preconditioner import Preconditioner
+from napari_deltamic.fitting.model.density import RULES, Density
+from napari_deltamic.fitting.model.level import Level
+from napari_deltamic.fitting.model.likelihood import Match
+from napari_deltamic.fitting.solvers.preconditioner import Preconditioner
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid, fit
-from napari_deltamic.fitting.evening import RULES, Unevenness, deepest, unevenness
+from napari_deltamic.fitting.objective.evening import RULES, Unevenness, deepest, unevenness
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from napari_deltamic.fitting.likelihood import centred_products, explained, match, products
+from napari_deltamic.fitting.model.likelihood import centred_products, explained, match, products
 
 loops = pytest.importorskip("napari_deltamic.fourier._mesh_ft")
 RNG = np.random.default_rng(4)
@@ -86,7 +86,7 @@ def test_centred_products_are_those_of_numpy(level, monkeypatch):
     scale = wanted.max()
     found = centred_products(given[:-1], given[-1])
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * scale)
-    monkeypatch.setattr("napari_deltamic.fitting.likelihood.compiled", lambda device: False)
+    monkeypatch.setattr("napari_deltamic.fitting.model.likelihood.compiled", lambda device: False)
     found = centred_products(given[:-1], given[-1])
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * scale)
 

@@ -8,8 +8,8 @@ import scipy.sparse as sp
 import torch
 from scipy.sparse.linalg import splu
 
-from napari_deltamic.fitting import factors
-from napari_deltamic.fitting.preconditioner import adjacency
+from napari_deltamic.fitting.solvers import factors
+from napari_deltamic.fitting.solvers.preconditioner import adjacency
 from napari_deltamic.geometry import sphere
 
 

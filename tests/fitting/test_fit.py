@@ -3,8 +3,8 @@ import pytest
 import torch
 
 from napari_deltamic import GaussianPSF, Grid, InputError, Mesh, fit, render
-from napari_deltamic.fitting.convergence import Remaining
-from napari_deltamic.fitting.likelihood import match
+from napari_deltamic.fitting.model.likelihood import match
+from napari_deltamic.fitting.objective.convergence import Remaining
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import expected_image
@@ -243,7 +243,7 @@ def test_ground_that_does_not_count_does_not_pull():
 
 
 def test_tells_of_a_leak_at_the_last_level_too(image, monkeypatch):
-    alarm = "napari_deltamic.fitting.growth_alarm.GrowthAlarm.check"
+    alarm = "napari_deltamic.fitting.surface.growth_alarm.GrowthAlarm.check"
     monkeypatch.setattr(alarm, lambda *_: "it leaks")
     settings = FitSettings(levels=(1.0,), max_iterations=24)
     messages = [s.message for s in fit(image, GRID, start(1), OPTICS, settings=settings)]

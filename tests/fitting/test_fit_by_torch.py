@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import level, likelihood
+from napari_deltamic.fitting.model import level, likelihood
 from napari_deltamic.fourier import particle_mesh, real_fft
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import GaussianPSF, InputError, fit
-from napari_deltamic.fitting.state import load_checkpoint
+from napari_deltamic.fitting.model.state import load_checkpoint
 from napari_deltamic.runs.settings import FitSettings
 from synthetic import GRID, OPTICS, apart, fitted, measured, start
 

@@ -5,7 +5,7 @@ import pytest
 
 from napari_deltamic import Change, GaussianPSF, fit
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting.level import Level
+from napari_deltamic.fitting.model.level import Level
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import write_image
 from napari_deltamic.runs.settings import FitSettings

@@ -13,8 +13,8 @@ import torch
 from torch.overrides import TorchFunctionMode
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import likelihood
-from napari_deltamic.fitting.posterior import Posterior
+from napari_deltamic.fitting.model import likelihood
+from napari_deltamic.fitting.objective.posterior import Posterior
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 

@@ -5,9 +5,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import napari_deltamic as nd
-from napari_deltamic.fitting.foreign_light import foreign_light
-from napari_deltamic.fitting.problem import Problem
-from napari_deltamic.fitting.voxel_ownership import counted_voxels
+from napari_deltamic.fitting.model.problem import Problem
+from napari_deltamic.fitting.voxels.foreign_light import foreign_light
+from napari_deltamic.fitting.voxels.voxel_ownership import counted_voxels
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.runs.settings import FitSettings
 

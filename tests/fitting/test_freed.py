@@ -5,7 +5,7 @@ import gc
 import pytest
 
 from napari_deltamic.common import freed_memory
-from napari_deltamic.fitting.fit_objective import Objective
+from napari_deltamic.fitting.objective.fit_objective import Objective
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer
 from synthetic import fitted, measured

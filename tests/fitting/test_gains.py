@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_deltamic.fitting.gains import gains_over, leaves_without_one, without_one
-from napari_deltamic.fitting.tempering import block_centres, block_sums
+from napari_deltamic.fitting.model.tempering import block_centres, block_sums
+from napari_deltamic.fitting.rivals.gains import gains_over, leaves_without_one, without_one
 
 
 def objective(mine, its, cells):

@@ -7,11 +7,11 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting.fitted import Fitted
-from napari_deltamic.fitting.ground_again import RULES, ground_again
 from napari_deltamic.fitting.job import FitInput, following
-from napari_deltamic.fitting.problem import Problem
+from napari_deltamic.fitting.model.fitted import Fitted
+from napari_deltamic.fitting.model.problem import Problem
 from napari_deltamic.fitting.successor import OWN_LIGHT
+from napari_deltamic.fitting.voxels.ground_again import RULES, ground_again
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.measure.surface_distance import distance_to_surface
@@ -67,9 +67,8 @@ def test_another_cell_stays_one():
 def test_a_cell_in_its_own_light_goes_on_with_that(monkeypatch):
     away = sphere((2.3, 1.6, 2.3), 0.8, edge_length=0.3)
     asked = []
-    monkeypatch.setattr(
-        "napari_deltamic.fitting.ground_again.counted_voxels", lambda *given: asked.append(given)
-    )
+    module = "napari_deltamic.fitting.voxels.ground_again"
+    monkeypatch.setattr(f"{module}.counted_voxels", lambda *given: asked.append(given))
     assert ground_again(problem(), ended(away)) is None
     assert not asked  # it would take seconds, and there is nothing to gain
 

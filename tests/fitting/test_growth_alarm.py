@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from napari_deltamic import Mesh
-from napari_deltamic.fitting.growth_alarm import GrowthAlarm, shrunken, told_shrunken, why_stuck
+from napari_deltamic.fitting.surface.growth_alarm import (
+    GrowthAlarm,
+    shrunken,
+    told_shrunken,
+    why_stuck,
+)
 from napari_deltamic.geometry import sphere
 
 

@@ -8,14 +8,19 @@ import pytest
 
 import napari_deltamic as nd
 from napari_deltamic import GaussianPSF
-from napari_deltamic.fitting import hidden_membranes
-from napari_deltamic.fitting.amplitudes import all_flat
-from napari_deltamic.fitting.fitted import Fitted
-from napari_deltamic.fitting.hidden_membranes import _followed, _grown, _Trial, membranes_as_well
 from napari_deltamic.fitting.level_run import LevelRun
+from napari_deltamic.fitting.model.amplitudes import all_flat
+from napari_deltamic.fitting.model.fitted import Fitted
+from napari_deltamic.fitting.model.shape import Shape
 from napari_deltamic.fitting.model_choice import ModelChoice
-from napari_deltamic.fitting.schedule import Progress
-from napari_deltamic.fitting.shape import Shape
+from napari_deltamic.fitting.objective.schedule import Progress
+from napari_deltamic.fitting.rivals import hidden_membranes
+from napari_deltamic.fitting.rivals.hidden_membranes import (
+    _followed,
+    _grown,
+    _Trial,
+    membranes_as_well,
+)
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings

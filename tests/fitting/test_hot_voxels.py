@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import fit
-from napari_deltamic.fitting.checks import hot_told, hot_voxels, without_hot
+from napari_deltamic.fitting.model.checks import hot_told, hot_voxels, without_hot
 from napari_deltamic.measure import surface_distance
 from synthetic import GRID, OPTICS, VOXEL, measured, start
 

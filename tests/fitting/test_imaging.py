@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import ConfocalPSF, GaussianPSF, ScalarPSF
-from napari_deltamic.fitting.imaging import Imaging
+from napari_deltamic.fitting.model.imaging import Imaging
 from napari_deltamic.scene.effects import Effects
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import fit, level_run, model_choice, rival_structures
-from napari_deltamic.fitting.shape import Shape
+from napari_deltamic.fitting import fit, level_run, model_choice
+from napari_deltamic.fitting.model.shape import Shape
+from napari_deltamic.fitting.rivals import rival_structures
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from synthetic import CENTER, GRID, OPTICS, RADIUS

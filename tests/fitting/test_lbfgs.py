@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_deltamic.fitting.lbfgs import Memory
+from napari_deltamic.fitting.solvers.lbfgs import Memory
 
 
 def identity(gradient, scale):

@@ -13,9 +13,9 @@ from napari_deltamic.common.doing import listening
 from napari_deltamic.evidence.facts import CellFacts, Facts
 from napari_deltamic.evidence.predicted_error import predicted_error
 from napari_deltamic.evidence.verdict import judged
-from napari_deltamic.fitting import light_cone
 from napari_deltamic.fitting.job import FitInput, following, optics_of
-from napari_deltamic.fitting.light_cone import (
+from napari_deltamic.fitting.rivals import light_cone
+from napari_deltamic.fitting.rivals.light_cone import (
     ABERRATED,
     ANEW,
     GOES_ON,
@@ -24,10 +24,10 @@ from napari_deltamic.fitting.light_cone import (
     spherical_of,
     widefield_of,
 )
-from napari_deltamic.fitting.rival_structures import RULES as RIVALS
-from napari_deltamic.fitting.rival_structures import descend_and_pose_anew, stepped
+from napari_deltamic.fitting.rivals.rival_structures import RULES as RIVALS
+from napari_deltamic.fitting.rivals.rival_structures import descend_and_pose_anew, stepped
 from napari_deltamic.fitting.successor import BACK, NARROW, is_given_up, successor
-from napari_deltamic.fitting.topology_trials import TopologyTrials
+from napari_deltamic.fitting.surface.topology_trials import TopologyTrials
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
@@ -120,7 +120,7 @@ def test_a_gaussian_narrower_than_voxels_tell_stays(monkeypatch):
         return True
 
     for module in ("light_cone", "psf_tails"):
-        monkeypatch.setattr(f"napari_deltamic.fitting.{module}.narrower_than_told", narrow)
+        monkeypatch.setattr(f"napari_deltamic.fitting.rivals.{module}.narrower_than_told", narrow)
     *_, state = begun(OBJECTIVE)
     assert isinstance(state.optics, nd.GaussianPSF)
     assert not state.cone
@@ -135,7 +135,9 @@ def test_the_default_width_of_tall_voxels_asks_nothing(monkeypatch):
     tall = nd.Grid((12, 32, 32), (0.4, 0.1, 0.1))
     image = nd.render(TRUE, tall, nd.GaussianPSF((0.2, 0.12, 0.12))).numpy()
     asked = []
-    monkeypatch.setattr("napari_deltamic.fitting.light_cone._posed", lambda *a: asked.append(a))
+    monkeypatch.setattr(
+        "napari_deltamic.fitting.rivals.light_cone._posed", lambda *a: asked.append(a)
+    )
     start = nd.GaussianPSF([1.2 * d for d in tall.voxel_size])
     *_, state = nd.fit(image, tall, START, start, settings=FitSettings())
     assert state.optics.sigma_um[0] < 2.6 * state.optics.sigma_um[1]
@@ -309,7 +311,7 @@ def after_steps(
     of_widefield = nd.ScalarPSF(1.2, 0.6, 1.33, spherical=spherical)
     ends = {nd.ConfocalPSF: (end, confocal), nd.ScalarPSF: (of_widefield, widefield)}
     at_first = {nd.ConfocalPSF: 0.95, nd.ScalarPSF: widefield_at_first}
-    module = "napari_deltamic.fitting.light_cone"
+    module = "napari_deltamic.fitting.rivals.light_cone"
     monkeypatch.setattr(
         f"{module}._posed", lambda optics, *_: posed(optics, at_first[type(optics)])
     )

@@ -4,12 +4,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from napari_deltamic import render
-from napari_deltamic.fitting.likelihood import (
-    ImageNoise,
-    match,
-    noise_ratio,
-    solve_scale,
-)
+from napari_deltamic.fitting.model.likelihood import ImageNoise, match, noise_ratio, solve_scale
 from napari_deltamic.geometry import sphere
 from synthetic import CENTER, GRID, OPTICS, RADIUS
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, render
-from napari_deltamic.fitting.local_misfit import Misfit, gaps, misfit_of
-from napari_deltamic.fitting.problem import Problem
+from napari_deltamic.fitting.model.problem import Problem
+from napari_deltamic.fitting.surface.local_misfit import Misfit, gaps, misfit_of
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene.effects import as_effects
 

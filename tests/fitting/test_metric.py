@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from napari_deltamic.fitting.metric import Metric
-from napari_deltamic.fitting.preconditioner import Preconditioners
-from napari_deltamic.fitting.shape import Shape
-from napari_deltamic.fitting.variables import Variables
+from napari_deltamic.fitting.model.shape import Shape
+from napari_deltamic.fitting.model.variables import Variables
+from napari_deltamic.fitting.objective.metric import Metric
+from napari_deltamic.fitting.solvers.preconditioner import Preconditioners
 from napari_deltamic.geometry import sphere
 
 BALL = sphere((0, 0, 0), 1.0, subdivisions=1)

@@ -4,7 +4,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid
 from napari_deltamic.fitting import counted_voxels
-from napari_deltamic.fitting.missed_parts import dark_regions, missed
+from napari_deltamic.fitting.voxels.missed_parts import dark_regions, missed
 from napari_deltamic.geometry import mesh_from_labels
 
 GRID = Grid((44, 40, 40), (0.2, 0.2, 0.2))

@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from skimage.restoration import richardson_lucy
 
 import napari_deltamic as nd
-from napari_deltamic.fitting.noise_blur import is_sharpened, is_white
+from napari_deltamic.fitting.model.noise_blur import is_sharpened, is_white
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene.light import INSIDES, structure_of
 

@@ -6,9 +6,9 @@ import scipy.sparse as sp
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
-from napari_deltamic.fitting import preconditioner
-from napari_deltamic.fitting.polynomial_inverse import ERROR, PolynomialInverse
-from napari_deltamic.fitting.preconditioner import Preconditioner
+from napari_deltamic.fitting.solvers import preconditioner
+from napari_deltamic.fitting.solvers.polynomial_inverse import ERROR, PolynomialInverse
+from napari_deltamic.fitting.solvers.preconditioner import Preconditioner
 from napari_deltamic.geometry import sphere
 
 LARGE = sphere((0, 0, 0), 1, subdivisions=5)  # 10,242 vertices

@@ -7,11 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic import Mesh
 from napari_deltamic.fitting.paper_optimiser import AdamUniform
-from napari_deltamic.fitting.preconditioner import (
-    Preconditioner,
-    adjacency,
-    components,
-)
+from napari_deltamic.fitting.solvers.preconditioner import Preconditioner, adjacency, components
 from napari_deltamic.geometry import sphere
 
 

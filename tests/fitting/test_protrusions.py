@@ -5,8 +5,8 @@ import pytest
 
 from napari_deltamic import GaussianPSF, Grid
 from napari_deltamic.fitting import counted_voxels
-from napari_deltamic.fitting.protrusions import protrusions
-from napari_deltamic.fitting.voxel_ownership import counted_around
+from napari_deltamic.fitting.voxels.protrusions import protrusions
+from napari_deltamic.fitting.voxels.voxel_ownership import counted_around
 from napari_deltamic.geometry import sphere
 from napari_deltamic.scene.render import expected_image
 
@@ -79,7 +79,7 @@ def test_a_crumb_of_noise_beside_a_finger_changes_nothing(monkeypatch, place):
         foreign[crumb] = bright[crumb] = True
         return protrusions(foreign, bright, *others)
 
-    monkeypatch.setattr("napari_deltamic.fitting.voxel_ownership.protrusions", crumbed)
+    monkeypatch.setattr("napari_deltamic.fitting.voxels.voxel_ownership.protrusions", crumbed)
     counted = counted_around(image_of(with_finger(1.6)), GRID, BODY, PSF)
     assert counted[18:23, 18:23, 40:46].all()
     assert not counted[crumb].any()

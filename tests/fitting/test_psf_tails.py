@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import model_choice, psf_tails
-from napari_deltamic.fitting.found_psf import psf_from, values_of
-from napari_deltamic.fitting.imaging import Imaging
+from napari_deltamic.fitting import model_choice
 from napari_deltamic.fitting.job import FitInput, following, optics_of, scene_with
-from napari_deltamic.fitting.psf_tails import HAS_TAILS, RULES, core_and_tails, tails_instead
-from napari_deltamic.fitting.schedule import Schedule
+from napari_deltamic.fitting.model.imaging import Imaging
+from napari_deltamic.fitting.objective.schedule import Schedule
+from napari_deltamic.fitting.rivals import psf_tails
+from napari_deltamic.fitting.rivals.found_psf import psf_from, values_of
+from napari_deltamic.fitting.rivals.psf_tails import HAS_TAILS, RULES, core_and_tails, tails_instead
 from napari_deltamic.fitting.successor import BACK, successor
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface

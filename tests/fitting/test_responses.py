@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from napari_deltamic.evidence.predicted_error import predicted_error
-from napari_deltamic.fitting import curvature as limits
 from napari_deltamic.fitting import fit
-from napari_deltamic.fitting.convergence import Patches, vertex_normals
-from napari_deltamic.fitting.curvature import Curvature
-from napari_deltamic.fitting.errors_of_measures import posed_at
 from napari_deltamic.fitting.job import FitInput
-from napari_deltamic.fitting.refits import Refits
-from napari_deltamic.fitting.replicating import replicas_of
-from napari_deltamic.fitting.responses import Exact, noise_of, responses_of
+from napari_deltamic.fitting.objective.convergence import Patches, vertex_normals
+from napari_deltamic.fitting.uncertainty import curvature as limits
+from napari_deltamic.fitting.uncertainty.curvature import Curvature
+from napari_deltamic.fitting.uncertainty.errors_of_measures import posed_at
+from napari_deltamic.fitting.uncertainty.refits import Refits
+from napari_deltamic.fitting.uncertainty.replicating import replicas_of
+from napari_deltamic.fitting.uncertainty.responses import Exact, noise_of, responses_of
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 from synthetic import CENTER, GRID, OPTICS, RADIUS, measured

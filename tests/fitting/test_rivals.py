@@ -6,14 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_deltamic.fitting import rival_structures, small_cells
-from napari_deltamic.fitting.fit_objective import Objective
-from napari_deltamic.fitting.rival_structures import (
-    _explains_more,
-    best_of,
-    moved_in,
-)
-from napari_deltamic.fitting.shape import Shape
+from napari_deltamic.fitting.model.shape import Shape
+from napari_deltamic.fitting.objective.fit_objective import Objective
+from napari_deltamic.fitting.rivals import rival_structures, small_cells
+from napari_deltamic.fitting.rivals.rival_structures import _explains_more, best_of, moved_in
 from napari_deltamic.geometry import Mesh, box, sphere
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses

@@ -7,7 +7,7 @@ from scipy.stats import norm
 
 from napari_deltamic import fit
 from napari_deltamic.evidence.residual import analyse_residual
-from napari_deltamic.fitting.saturation import (
+from napari_deltamic.fitting.model.saturation import (
     censored,
     cut_at,
     filled_in,

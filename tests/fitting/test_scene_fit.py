@@ -10,7 +10,7 @@ import torch
 from scipy.spatial import cKDTree
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import likelihood
+from napari_deltamic.fitting.model import likelihood
 from napari_deltamic.fitting.thread_prior import ThreadPrior
 from napari_deltamic.fourier import particle_mesh, real_fft
 from napari_deltamic.fourier.filament import path_segments

@@ -4,8 +4,8 @@ from functools import reduce
 
 import pytest
 
-from napari_deltamic.fitting.convergence import Remaining
-from napari_deltamic.fitting.schedule import Progress, Schedule
+from napari_deltamic.fitting.objective.convergence import Remaining
+from napari_deltamic.fitting.objective.schedule import Progress, Schedule
 
 S = Schedule()
 LITTLE, MUCH = Remaining(0.001, 0.001, 0), Remaining(1.0, 10.0, 0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import Mesh
-from napari_deltamic.fitting.shape import Shape
+from napari_deltamic.fitting.model.shape import Shape
 from napari_deltamic.geometry import sphere
 
 COARSE, FINE = (sphere((0, 0, 0), 1.0, subdivisions=n) for n in (2, 3))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting.default_accuracy import accuracy_for
 from napari_deltamic.fitting.job import assemble
+from napari_deltamic.fitting.model.default_accuracy import accuracy_for
 from napari_deltamic.fitting.shape_dial import Situation, dialled, with_edges
-from napari_deltamic.fitting.triangle_quality import Remeshing
+from napari_deltamic.fitting.surface.triangle_quality import Remeshing
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings

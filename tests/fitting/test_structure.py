@@ -11,16 +11,13 @@ import torch
 import napari_deltamic as nd
 from napari_deltamic.common.doing import heard
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting import (
-    hidden_membranes,
-    model_choice,
-    rival_structures,
-    structure_choice,
-)
-from napari_deltamic.fitting.amplitudes import mixture
-from napari_deltamic.fitting.errors_of_measures import posed_at
-from napari_deltamic.fitting.fit_objective import Objective
-from napari_deltamic.fitting.surface_upkeep import SurfaceUpkeep
+from napari_deltamic.fitting import model_choice
+from napari_deltamic.fitting.model.amplitudes import mixture
+from napari_deltamic.fitting.objective import structure_choice
+from napari_deltamic.fitting.objective.fit_objective import Objective
+from napari_deltamic.fitting.rivals import hidden_membranes, rival_structures
+from napari_deltamic.fitting.surface.surface_upkeep import SurfaceUpkeep
+from napari_deltamic.fitting.uncertainty.errors_of_measures import posed_at
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.light import INSIDES, MEMBRANES, Light, structure_of

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from napari_deltamic.fitting.tempering import tempered_variance
+from napari_deltamic.fitting.model.tempering import tempered_variance
 
 SHAPE = (48, 64, 64)
 WIDTHS = (1.2, 1.5, 1.5)

@@ -5,9 +5,9 @@ import pytest
 from noisy_cells import events_of, photographed
 
 from napari_deltamic import Change, GaussianPSF, Mesh, fit
-from napari_deltamic.fitting import topology_trials as module
-from napari_deltamic.fitting.topology import TopologyPolicy
-from napari_deltamic.fitting.topology_trials import TopologyTrials
+from napari_deltamic.fitting.surface import topology_trials as module
+from napari_deltamic.fitting.surface.topology import TopologyPolicy
+from napari_deltamic.fitting.surface.topology_trials import TopologyTrials
 from napari_deltamic.geometry import remesh, sphere, torus
 from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam

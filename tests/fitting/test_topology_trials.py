@@ -8,11 +8,11 @@ import pytest
 from noisy_cells import events_of, photographed
 
 from napari_deltamic import GaussianPSF, Mesh, fit
-from napari_deltamic.fitting import topology_trials
-from napari_deltamic.fitting.fitted import Fitted
-from napari_deltamic.fitting.local_misfit import Gap
-from napari_deltamic.fitting.topology import Judgement, TopologyPolicy, Trial
-from napari_deltamic.fitting.topology_trials import TopologyTrials
+from napari_deltamic.fitting.model.fitted import Fitted
+from napari_deltamic.fitting.surface import topology_trials
+from napari_deltamic.fitting.surface.local_misfit import Gap
+from napari_deltamic.fitting.surface.topology import Judgement, TopologyPolicy, Trial
+from napari_deltamic.fitting.surface.topology_trials import TopologyTrials
 from napari_deltamic.geometry import remesh
 from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam

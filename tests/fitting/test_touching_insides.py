@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import pose
+from napari_deltamic.fitting.objective import pose
 from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.geometry.bending import BendingEnergy
 from napari_deltamic.runs.settings import FitSettings

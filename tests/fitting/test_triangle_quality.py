@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from napari_deltamic import Change, InputError, Mesh, fit
-from napari_deltamic.fitting.growth_alarm import GrowthAlarm
-from napari_deltamic.fitting.triangle_quality import Remeshing, gaps
+from napari_deltamic.fitting.surface.growth_alarm import GrowthAlarm
+from napari_deltamic.fitting.surface.triangle_quality import Remeshing, gaps
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles
 from napari_deltamic.runs.settings import FitSettings

@@ -9,9 +9,9 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, fit
-from napari_deltamic.fitting.errors_of_measures import posed_at
-from napari_deltamic.fitting.structure_choice import told
-from napari_deltamic.fitting.unequal_insides import Insides, each_alone
+from napari_deltamic.fitting.model.unequal_insides import Insides, each_alone
+from napari_deltamic.fitting.objective.structure_choice import told
+from napari_deltamic.fitting.uncertainty.errors_of_measures import posed_at
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure import surface_distance
 from napari_deltamic.runs.settings import FitSettings

@@ -5,7 +5,7 @@ from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
 from napari_deltamic.fitting import counted_voxels
-from napari_deltamic.fitting.voxel_ownership import counted_around, surface_voxels
+from napari_deltamic.fitting.voxels.voxel_ownership import counted_around, surface_voxels
 from napari_deltamic.geometry import box, sphere
 from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, measured
 

@@ -22,7 +22,7 @@ STAND_IN = os.environ.get("DELTAMIC_STAND_IN") == "1"
 if STAND_IN:
     from cuda_emulation import Emulated, engine
 
-    from napari_deltamic.fitting import level
+    from napari_deltamic.fitting.model import level
 
     fit = import_module("napari_deltamic.fitting.fit")  # the function of that name hides it
 

@@ -17,7 +17,7 @@ from napari_deltamic.accuracy.renewed_forecast import RenewedForecast
 from napari_deltamic.common.cache_folder import CACHE_VARIABLE
 from napari_deltamic.common.words import duration
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting.default_accuracy import (
+from napari_deltamic.fitting.model.default_accuracy import (
     PRESETS,
     accuracy_of,
     image_noise,

@@ -9,7 +9,7 @@ import pytest
 
 from napari_deltamic.accuracy.tradeoff import Way
 from napari_deltamic.errors import InputError
-from napari_deltamic.fitting.default_accuracy import image_noise, preset_accuracy
+from napari_deltamic.fitting.model.default_accuracy import image_noise, preset_accuracy
 from napari_deltamic.gui import fit_widget
 from napari_deltamic.gui.settings import accuracy_forecast
 

@@ -9,7 +9,7 @@ import pytest
 
 from napari_deltamic.common.doing import doing
 from napari_deltamic.fitting import fit
-from napari_deltamic.fitting.light_cone import confocal_of
+from napari_deltamic.fitting.rivals.light_cone import confocal_of
 from napari_deltamic.gui.running import footer, run_control, worker
 from napari_deltamic.gui.running.footer import forecast_text, progress_text
 from napari_deltamic.measure.surface_distance import distance_to_surface

@@ -7,7 +7,7 @@ import npe2
 import pytest
 
 import napari_deltamic
-from napari_deltamic.fitting.default_accuracy import PRESETS, usable_choice
+from napari_deltamic.fitting.model.default_accuracy import PRESETS, usable_choice
 from napari_deltamic.gui.settings import preferences
 from napari_deltamic.gui.settings.preferences import PLUGIN, Preferences, read_preferences, usable
 from napari_deltamic.runs.settings import FitSettings

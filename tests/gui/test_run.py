@@ -16,7 +16,7 @@ from napari_deltamic.cli.messages import Notes
 from napari_deltamic.common.doing import doing
 from napari_deltamic.errors import DoubtWarning, InputError
 from napari_deltamic.fitting import fit
-from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
+from napari_deltamic.fitting.rivals.light_cone import confocal_of, widefield_of
 from napari_deltamic.geometry.labels.bright_cells import CellsFound
 from napari_deltamic.gui import document
 from napari_deltamic.gui.running import footer, worker

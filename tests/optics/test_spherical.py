@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from napari_deltamic import InputError, optics
-from napari_deltamic.fitting.found_psf import psf_from, settings_of, values_of
-from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
+from napari_deltamic.fitting.rivals.found_psf import psf_from, settings_of, values_of
+from napari_deltamic.fitting.rivals.light_cone import confocal_of, widefield_of
 
 Z = torch.linspace(-3, 3, 241, dtype=torch.float64)
 AXIS = torch.zeros(1, dtype=torch.float64)

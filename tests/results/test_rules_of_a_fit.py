@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import napari_deltamic
-from napari_deltamic.fitting.schedule import Schedule
+from napari_deltamic.fitting.objective.schedule import Schedule
 from napari_deltamic.results.rules_of_a_fit import rules_of_a_fit
 
 PACKAGE = Path(napari_deltamic.__file__).parent
@@ -20,7 +20,7 @@ ROOMS = ("images", "geometry/labels", "optics", "fitting", "evidence")
 
 def rules():
     """Every class of rules of the rooms in which a fit is decided."""
-    for file in sorted(p for room in ROOMS for p in (PACKAGE / room).glob("*.py")):
+    for file in sorted(p for room in ROOMS for p in (PACKAGE / room).rglob("*.py")):
         if "Rules:" in file.read_text(encoding="utf-8"):
             place = ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
             module = importlib.import_module(f"napari_deltamic.{place}")

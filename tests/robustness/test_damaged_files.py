@@ -10,7 +10,7 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic import InputError
 from napari_deltamic.common.reading import LARGEST_TEXT, json_values, read_text, toml_values
-from napari_deltamic.fitting.state import load_checkpoint
+from napari_deltamic.fitting.model.state import load_checkpoint
 from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.geometry.archive import ArchiveWriter, opened
 from napari_deltamic.geometry.files.vtk import read_vtk

@@ -9,7 +9,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import napari_deltamic as nd
-from napari_deltamic.fitting import level
+from napari_deltamic.fitting.model import level
 from napari_deltamic.fourier import particle_mesh
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings

@@ -6,7 +6,7 @@ import torch
 from torch.autograd import gradcheck
 
 import napari_deltamic as nd
-from napari_deltamic.fitting.likelihood import match
+from napari_deltamic.fitting.model.likelihood import match
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.scene import Renderer, Scene
 

@@ -18,7 +18,7 @@ import torch
 
 import napari_deltamic as nd
 from napari_deltamic.fitting.level_run import LevelRun
-from napari_deltamic.fitting.likelihood import ImageNoise, match
+from napari_deltamic.fitting.model.likelihood import ImageNoise, match
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import Renderer, Scene

@@ -10,7 +10,7 @@ import pytest
 from movies import GRID, MIDDLE, NEAR, OPTICS, VOXEL, ball, drifting, tracked
 
 from napari_deltamic import GaussianPSF
-from napari_deltamic.fitting.light_cone import confocal_of, widefield_of
+from napari_deltamic.fitting.rivals.light_cone import confocal_of, widefield_of
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.scene.effects import Effects
 from napari_deltamic.scene.light import INSIDES, MEMBRANES

@@ -5,7 +5,7 @@ import pytest
 from movies import GRID, MIDDLE, OPTICS, RADIUS, VOXEL, ball, pair, photographed
 
 from napari_deltamic import render
-from napari_deltamic.fitting.state import FitState
+from napari_deltamic.fitting.model.state import FitState
 from napari_deltamic.geometry import Mesh
 from napari_deltamic.tracking.alarms import CellLook, Volumes, alarms, gone, looks
 from napari_deltamic.tracking.divisions import Residual, explains, has_folded, proposals

@@ -15,7 +15,7 @@ from scipy.optimize import nnls
 from scipy.sparse.linalg import splu
 from torch import Tensor
 
-from ..fitting.level import CUT_OFF
+from ..fitting.model.level import CUT_OFF
 from ..fourier.band import Band
 from ..fourier.closed_form import band_ft
 from ..fourier.cost import BUILT_IN, Costs, Rates, Work, count_work

@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from ..evidence.effect_cost import milliseconds
-from ..fitting.checks import FEWEST_VOXELS
-from ..fitting.default_accuracy import accuracy_for_image
-from ..fitting.level import level_shape
+from ..fitting.model.checks import FEWEST_VOXELS
+from ..fitting.model.default_accuracy import accuracy_for_image
+from ..fitting.model.level import level_shape
 from ..fourier.cost import Costs
 from ..fourier.plan import Method
 from ..geometry.contacts import contacts

@@ -8,8 +8,8 @@ from math import prod
 
 import numpy as np
 
-from ..fitting.level import CUT_OFF, LevelShape
-from ..fitting.schedule import Schedule
+from ..fitting.model.level import CUT_OFF, LevelShape
+from ..fitting.objective.schedule import Schedule
 from ..fourier.cost import Costs, Work
 from ..fourier.plan import Plan
 from ..geometry.mesh import Mesh

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..fitting.default_accuracy import accuracy_of, image_noise
 from ..fitting.job import FitInput, optics_of
+from ..fitting.model.default_accuracy import accuracy_of, image_noise
 from ..fitting.shape_dial import with_trials
 from ..geometry import Mesh
 from ..optics import Optics

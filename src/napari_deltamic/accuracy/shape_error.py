@@ -11,9 +11,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..fitting import FitState, fit
-from ..fitting.default_accuracy import image_noise
-from ..fitting.preconditioner import components
+from ..fitting.model.default_accuracy import image_noise
 from ..fitting.shape_dial import Dialled, Situation, dialled, with_edges
+from ..fitting.solvers.preconditioner import components
 from ..geometry.mesh import Mesh
 from ..measure.surface_distance import surface_distance
 from ..optics import Optics

@@ -34,9 +34,9 @@ from ..common.words import counted, duration
 from ..common.writing import make_folder, write_atomically
 from ..errors import failure
 from ..fitting import fit
-from ..fitting.checks import check_mesh
-from ..fitting.default_accuracy import accuracy_for, image_noise
 from ..fitting.job import FitInput
+from ..fitting.model.checks import check_mesh
+from ..fitting.model.default_accuracy import accuracy_for, image_noise
 from ..fourier.cuda import missing
 from ..fourier.native import simd_level, threads
 from ..geometry import Mesh, load_mesh

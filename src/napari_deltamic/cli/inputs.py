@@ -15,8 +15,8 @@ from ..common.choices import AUTO, is_auto
 from ..common.description import described
 from ..errors import InputError, NoCellsFound
 from ..evidence.put_together import put_together, start_of
-from ..fitting.checks import check_image
 from ..fitting.job import FitInput
+from ..fitting.model.checks import check_image
 from ..geometry import Mesh
 from ..geometry.mesh import FloatArray
 from ..images.missing import finite_or_nan

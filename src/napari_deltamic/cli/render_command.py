@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import failure
-from ..fitting.checks import check_mesh
+from ..fitting.model.checks import check_mesh
 from ..geometry import load_mesh
 from ..images.stacks import write_image
 from ..scene import Grid, render

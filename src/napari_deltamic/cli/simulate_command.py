@@ -9,7 +9,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from ..errors import failure
-from ..fitting.checks import check_mesh
+from ..fitting.model.checks import check_mesh
 from ..geometry import Mesh, load_mesh
 from ..results.simulation_files import FILES, write_simulation
 from ..runs.optics_settings import optics_from_values

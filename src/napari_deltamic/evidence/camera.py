@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import correlate1d, minimum_filter, uniform_filter
 
 from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
-from ..fitting.saturation import saturation
+from ..fitting.model.saturation import saturation
 from .estimate import Finding, unknown
 from .evidence_rules import CAMERA
 

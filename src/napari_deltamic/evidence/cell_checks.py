@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ..fitting.deep_insides import RULES as DEEP
+from ..fitting.objective.deep_insides import RULES as DEEP
 from .facts import CellFacts, Facts
 from .left_out import Place
 from .reason import Reason, fair_if, unexplained

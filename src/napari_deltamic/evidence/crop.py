@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from ..fitting.voxel_ownership import surface_voxels
+from ..fitting.voxels.voxel_ownership import surface_voxels
 from ..geometry.mesh import Mesh
 from ..scene import Grid
 from .evidence_rules import JUDGING

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..common.triple import geometric_mean
-from ..fitting.posed import Posed
-from ..fitting.refits import Alternative
-from ..fitting.responses import Responses
-from ..fitting.state import FitState
+from ..fitting.model.state import FitState
+from ..fitting.objective.posed import Posed
+from ..fitting.uncertainty.refits import Alternative
+from ..fitting.uncertainty.responses import Responses
 from ..geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from ..geometry.outwards import outwards
 

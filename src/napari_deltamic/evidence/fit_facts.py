@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from ..common.triple import geometric_mean
-from ..fitting.amplitudes import RULES as AMPLITUDES
-from ..fitting.amplitudes import hardly_wider
 from ..fitting.by_hand import is_by_hand
-from ..fitting.deep_insides import Cells, dark_insides_shown, deep_brightness
-from ..fitting.growth_alarm import shrunken
 from ..fitting.job import FitInput, levelled
-from ..fitting.noise_blur import is_sharpened, is_white
-from ..fitting.saturation import filled_in, share_cut
-from ..fitting.state import FitState
-from ..fitting.voxel_ownership import surface_shares
+from ..fitting.model.amplitudes import RULES as AMPLITUDES
+from ..fitting.model.amplitudes import hardly_wider
+from ..fitting.model.noise_blur import is_sharpened, is_white
+from ..fitting.model.saturation import filled_in, share_cut
+from ..fitting.model.state import FitState
+from ..fitting.objective.deep_insides import Cells, dark_insides_shown, deep_brightness
+from ..fitting.surface.growth_alarm import shrunken
+from ..fitting.voxels.voxel_ownership import surface_shares
 from ..geometry.border import cut_cells
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..fitting.state import FitState
+from ..fitting.model.state import FitState
 from ..geometry.mesh import Mesh
 from ..scene import Scene
 from ..scene.effects import Effects

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.triple import geometric_mean
-from ..fitting.state import FitState
+from ..fitting.model.state import FitState
 from ..geometry.mesh import OUTSIDE
 from ..geometry.topology.thin_places import thin_places
 

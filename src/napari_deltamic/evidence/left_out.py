@@ -1,7 +1,7 @@
 """Bright parts beside cells whose insides shine: arms that a label left out, for example.
 
-Their light may count as that of other objects (:mod:`~.fitting.voxel_ownership`), so the fit cannot
-grow there, and its residual is judged without them.
+Their light may count as that of other objects (:mod:`~.fitting.voxels.voxel_ownership`), so the
+fit cannot grow there, and its residual is judged without them.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from scipy.ndimage import (
     sum_labels,
 )
 
-from ..fitting.bright_regions import RULES as BRIGHT
-from ..fitting.voxel_ownership import RULES as OWNERSHIP
+from ..fitting.voxels.bright_regions import RULES as BRIGHT
+from ..fitting.voxels.voxel_ownership import RULES as OWNERSHIP
 from ..geometry.labels.label_repair import label_boxes
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh

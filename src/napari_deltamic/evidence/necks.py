@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum, maximum_position
 
-from ..fitting.bright_regions import parted
+from ..fitting.voxels.bright_regions import parted
 from ..geometry.labels.label_repair import label_boxes
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh

@@ -10,15 +10,15 @@ import torch
 
 from ..common.triple import geometric_mean
 from ..errors import InputError
-from ..fitting.convergence import Patches, vertex_normals
-from ..fitting.errors_of_measures import posed_at
 from ..fitting.job import FitInput
-from ..fitting.posed import Posed
-from ..fitting.prediction import as_floats
-from ..fitting.refits import RULES as REFITS
-from ..fitting.responses import Responses, noise_of, responses_of
-from ..fitting.state import FitState
-from ..fitting.triangle_quality import gaps
+from ..fitting.model.state import FitState
+from ..fitting.objective.convergence import Patches, vertex_normals
+from ..fitting.objective.posed import Posed
+from ..fitting.objective.prediction import as_floats
+from ..fitting.surface.triangle_quality import gaps
+from ..fitting.uncertainty.errors_of_measures import posed_at
+from ..fitting.uncertainty.refits import RULES as REFITS
+from ..fitting.uncertainty.responses import Responses, noise_of, responses_of
 from ..geometry.mesh import FloatArray, Mesh
 from ..scene import Grid
 from ..scene.light import INSIDES

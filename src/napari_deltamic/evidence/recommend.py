@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..fitting.checks import check_image, hot_voxels
-from ..fitting.default_accuracy import accuracy_for_image
 from ..fitting.fit import fit
 from ..fitting.job import FitInput
-from ..fitting.likelihood import voxel_noise
-from ..fitting.state import FitState
+from ..fitting.model.checks import check_image, hot_voxels
+from ..fitting.model.default_accuracy import accuracy_for_image
+from ..fitting.model.likelihood import voxel_noise
+from ..fitting.model.state import FitState
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import FitSettings

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from scipy.linalg import lu_factor, lu_solve
 
-from ..fitting.likelihood import solve_scale
+from ..fitting.model.likelihood import solve_scale
 from .evidence_rules import REFIT
 from .fitted_scene import FittedScene
 from .image_model import ImageModel, parameters_of, with_changed

@@ -12,9 +12,9 @@ from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
-from ..fitting.checks import check_image, hot_voxels
-from ..fitting.saturation import filled_in
-from ..fitting.state import FitState
+from ..fitting.model.checks import check_image, hot_voxels
+from ..fitting.model.saturation import filled_in
+from ..fitting.model.state import FitState
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid

@@ -18,9 +18,9 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filt
 from ..common.doing import doing
 from ..errors import DoubtWarning
 from ..fitting.job import FitInput, levelled
-from ..fitting.likelihood import voxel_noise
-from ..fitting.saturation import cut_at
-from ..fitting.voxel_ownership import surface_voxels
+from ..fitting.model.likelihood import voxel_noise
+from ..fitting.model.saturation import cut_at
+from ..fitting.voxels.voxel_ownership import surface_voxels
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..images.missing import filled

@@ -8,7 +8,7 @@ from math import log, sqrt
 
 import numpy as np
 
-from ..fitting.state import FitState
+from ..fitting.model.state import FitState
 from ..runs.settings import FitSettings
 from ..scene import Grid
 from ..scene.effects import Effect, Effects

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from ..common.normal import SIGMA_PER_MEDIAN_DEVIATION
-from ..fitting.likelihood import voxel_noise
+from ..fitting.model.likelihood import voxel_noise
 from .camera import mode
 from .estimate import Finding, unknown
 from .evidence_rules import SLICES

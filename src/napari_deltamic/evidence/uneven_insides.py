@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ..fitting.amplitudes import all_flat, inside_over_membrane
-from ..fitting.evening import unevenness
 from ..fitting.job import FitInput
-from ..fitting.level import differences
-from ..fitting.saturation import filled_in
-from ..fitting.state import FitState
+from ..fitting.model.amplitudes import all_flat, inside_over_membrane
+from ..fitting.model.level import differences
+from ..fitting.model.saturation import filled_in
+from ..fitting.model.state import FitState
+from ..fitting.objective.evening import unevenness
 from ..geometry.labels.voxels import voxel_labels
 from ..scene.light import INSIDES
 from ..scene.render import expected_image

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.triple import geometric_mean
-from ..fitting.state import FitState
+from ..fitting.model.state import FitState
 from ..geometry.mesh import OUTSIDE
 
 

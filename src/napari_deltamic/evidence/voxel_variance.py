@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..fitting.likelihood import voxel_noise
+from ..fitting.model.likelihood import voxel_noise
 from .camera import Camera, camera_from_image
 
 Variance = Callable[[np.ndarray], np.ndarray]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ..geometry.carry import carried
 from ..scene import expected_image
-from .change import Change
 from .job import FitInput
-from .state import FitState
+from .model.change import Change
+from .model.state import FitState
 
 _CHANGED = "changed by hand after the fit"
 

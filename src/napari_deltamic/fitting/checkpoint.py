@@ -14,12 +14,12 @@ from ..common.reading import json_values, one_reason
 from ..errors import InputError
 from ..runs.fit_settings import validated
 from ..scene.effects import Effects
-from .fitted import Arrays, Fitted, other_settings
-from .found_psf import FoundPSF, psf_from, values_of
-from .ground_again import with_ground
-from .problem import Problem
+from .model.fitted import Arrays, Fitted, other_settings
+from .model.problem import Problem
+from .rivals.found_psf import FoundPSF, psf_from, values_of
 from .stage import Stage
-from .topology import TopologyPolicy
+from .surface.topology import TopologyPolicy
+from .voxels.ground_again import with_ground
 
 _FORMER = "former_"  # before the names of that fit's arrays
 

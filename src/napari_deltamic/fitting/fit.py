@@ -22,14 +22,14 @@ from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
-from .change import Change
-from .checks import check_mesh, check_psf, hot_told
-from .default_accuracy import accuracy_for_image
+from .model.change import Change
+from .model.checks import check_mesh, check_psf, hot_told
+from .model.default_accuracy import accuracy_for_image
+from .model.problem import Problem
+from .model.second_view import Pixels
+from .model.state import FitState, load_checkpoint
 from .paper import as_in_the_paper
-from .problem import Problem
 from .run import Run
-from .second_view import Pixels
-from .state import FitState, load_checkpoint
 from .successor import resumed
 
 

@@ -21,11 +21,11 @@ from ..scene import Grid
 from ..scene.effects import Effects
 from ..scene.render import offset
 from . import FitState, counted_voxels, fit
-from .checks import without_hot
-from .default_accuracy import image_noise
-from .found_psf import settings_of
+from .model.checks import without_hot
+from .model.default_accuracy import image_noise
+from .rivals.found_psf import settings_of
 from .shape_dial import Situation, dialled, with_edges
-from .voxel_ownership import counted_around
+from .voxels.voxel_ownership import counted_around
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from ..geometry.mesh import FloatArray, Mesh
-from .change import Change, taken_over
-from .convergence import Remaining, strayed_off
-from .fit_objective import Objective, Terms
-from .fitted import Arrays, Fitted
-from .level import Level
+from .model.change import Change, taken_over
+from .model.fitted import Arrays, Fitted
+from .model.level import Level
+from .model.state import FitState
+from .objective.convergence import Remaining, strayed_off
+from .objective.fit_objective import Objective, Terms
+from .objective.prediction import View
+from .objective.schedule import Progress
 from .position import Position, RunContext
-from .prediction import View
-from .rival_structures import insides_may_do
-from .schedule import Progress
-from .state import FitState
+from .rivals.rival_structures import insides_may_do
 from .state_of import state_of
 
 _UNDONE = "a coarse level was undone: a cell had drifted away from its start"

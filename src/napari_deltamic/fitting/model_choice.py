@@ -5,27 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from ..runs.settings import FitSettings
-from .amplitudes import RULES, all_small, inside_over_membrane, may_shine
-from .collisions import CollisionGuard
-from .dark_nuclei import around_nuclei
-from .density import RULES as DENSITY
-from .fit_objective import Objective, Terms
-from .fitted import Fitted
-from .hidden_membranes import RULES as HIDDEN
-from .hidden_membranes import membranes_as_well
-from .preconditioner import Preconditioners
-from .rival_structures import RULES as RIVALS
-from .rival_structures import (
+from .model.amplitudes import RULES, all_small, inside_over_membrane, may_shine
+from .model.density import RULES as DENSITY
+from .model.fitted import Fitted
+from .model.shape import Shape
+from .objective.fit_objective import Objective, Terms
+from .objective.schedule import Progress
+from .rivals.dark_nuclei import around_nuclei
+from .rivals.hidden_membranes import RULES as HIDDEN
+from .rivals.hidden_membranes import membranes_as_well
+from .rivals.rival_structures import RULES as RIVALS
+from .rivals.rival_structures import (
     best_of,
     insides_alone,
     is_uneven,
     with_even_membranes,
     without_rim,
 )
-from .schedule import Progress
-from .shape import Shape
-from .small_cells import nearer_of, other_of_small
+from .rivals.small_cells import nearer_of, other_of_small
+from .solvers.preconditioner import Preconditioners
 from .stage import Stage
+from .surface.collisions import CollisionGuard
 
 
 @dataclass(frozen=True)

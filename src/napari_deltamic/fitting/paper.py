@@ -18,12 +18,12 @@ from ..optics import Optics
 from ..runs.settings import FitSettings
 from ..scene import Renderer, Scene, expected_image
 from ..scene.effects import Effects
-from .change import Change
-from .likelihood import Match, match
+from .model.change import Change
+from .model.likelihood import Match, match
+from .model.problem import Problem
+from .model.state import FitState
 from .paper_optimiser import AdamUniform
-from .preconditioner import Preconditioner, components
-from .problem import Problem
-from .state import FitState
+from .solvers.preconditioner import Preconditioner, components
 
 LAMBDA = 50.0  # the paper's
 # The paper gives no sizes of steps; these find the sphere of tests/fitting/test_paper.py.

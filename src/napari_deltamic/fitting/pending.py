@@ -12,10 +12,10 @@ from ..errors import InputError
 from ..geometry import Mesh
 from ..geometry.carry import carried
 from ..optics import Optics
-from .change import Change
-from .checks import check_mesh, check_psf
 from .job import FitInput
-from .problem import Problem
+from .model.change import Change
+from .model.checks import check_mesh, check_psf
+from .model.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..runs.settings import FitSettings
-from .fitted import Fitted
+from .model.fitted import Fitted
+from .model.problem import Problem
+from .model.shape import Shape
 from .model_choice import ModelChoice
-from .preconditioner import Preconditioners
-from .problem import Problem
+from .objective.schedule import Progress, Schedule
 from .reporting import Reporter
-from .schedule import Progress, Schedule
-from .shape import Shape
+from .solvers.preconditioner import Preconditioners
 from .stage import Stage
-from .surface_upkeep import SurfaceUpkeep
+from .surface.surface_upkeep import SurfaceUpkeep
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from ..common.triple import Triple
 from ..common.words import counted
 from ..geometry.mesh import Mesh
-from .fitted import Fitted
-from .growth_alarm import GrowthAlarm, shrunken, told_shrunken, why_stuck
-from .likelihood import Match
+from .model.fitted import Fitted
+from .model.likelihood import Match
+from .surface.growth_alarm import GrowthAlarm, shrunken, told_shrunken, why_stuck
 
 _ALARMS_EVERY = 10  # iterations: regions grow slowly; areas of all faces would take time each
 

@@ -10,20 +10,20 @@ from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene.effects import Effects
-from .change import Change
 from .checkpoint import Checkpoint
-from .fit_objective import Objective, Terms
-from .fitted import Arrays, Fitted, fingerprint
 from .level_run import LevelRun
+from .model.change import Change
+from .model.fitted import Arrays, Fitted, fingerprint
+from .model.problem import Problem
+from .model.state import FitState
+from .objective.fit_objective import Objective, Terms
+from .objective.schedule import Progress
 from .position import Position, RunContext
-from .problem import Problem
 from .reporting import Reporter, verdict
-from .schedule import Progress
 from .stage import Stage
-from .state import FitState
 from .successor import is_given_up, successor
-from .surface_upkeep import SurfaceUpkeep
-from .topology import TopologyPolicy
+from .surface.surface_upkeep import SurfaceUpkeep
+from .surface.topology import TopologyPolicy
 
 
 class Run:

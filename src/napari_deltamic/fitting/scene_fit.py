@@ -19,11 +19,11 @@ from ..fourier.devices import choose_device
 from ..geometry.mesh import FloatArray
 from ..runs.fit_settings import FitSettings, validated
 from ..scene import Filament, Grid, Points, Scene
-from .checks import check_image, check_inside, check_psf
-from .default_accuracy import accuracy_for_image
-from .level import Level
-from .likelihood import explained
-from .problem import Problem
+from .model.checks import check_image, check_inside, check_psf
+from .model.default_accuracy import accuracy_for_image
+from .model.level import Level
+from .model.likelihood import explained
+from .model.problem import Problem
 from .scene_unknowns import SceneUnknowns
 
 # A round that moves nothing further, in widths, or gains less, in nats, is rest: as in the fit of

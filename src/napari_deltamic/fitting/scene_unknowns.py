@@ -12,8 +12,8 @@ from ..geometry.arrays import FloatArray, to_numpy
 from ..optics import Optics
 from ..scene import Filament, Points, Scene, Solid, Surface
 from ..scene.structures import Structure
-from .imaging import Imaging
-from .level import SHARPER
+from .model.imaging import Imaging
+from .model.level import SHARPER
 from .thread_prior import PERSISTENCE, ThreadPrior
 
 _REACH = 1.0  # widths that positions may go, or factors e of a brightness, before a new plan

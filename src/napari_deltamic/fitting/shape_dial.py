@@ -24,8 +24,8 @@ from ..geometry.mesh import Mesh
 from ..geometry.remeshing import can_remesh, remesh
 from ..runs.fit_settings import FitSettings, asked_error
 from ..scene import Grid
-from .default_accuracy import COARSEST, FINEST, preset_accuracy
-from .triangle_quality import RULES as TRIANGLES
+from .model.default_accuracy import COARSEST, FINEST, preset_accuracy
+from .surface.triangle_quality import RULES as TRIANGLES
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ..optics import Optics
-from .convergence import Remaining
-from .schedule import Progress
+from .objective.convergence import Remaining
+from .objective.schedule import Progress
 
 _COUNTS = ("iteration", "evaluations", "level_number", "changed_at", "begun_at")
 

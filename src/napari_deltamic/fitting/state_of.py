@@ -6,11 +6,11 @@ import numpy as np
 
 from ..geometry.mesh import FloatArray
 from ..scene import Grid, expected_image
-from .dark_nuclei import with_nuclei
-from .fitted import Arrays, Fitted
-from .likelihood import Match
+from .model.fitted import Arrays, Fitted
+from .model.likelihood import Match
+from .model.state import FitState
+from .rivals.dark_nuclei import with_nuclei
 from .stage import Stage
-from .state import FitState
 
 
 def state_of(

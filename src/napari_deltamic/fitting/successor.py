@@ -13,10 +13,10 @@ from typing import Protocol, Self, TypeVar
 from ..optics import GaussianMixturePSF, GaussianPSF, Optics, ScalarPSF
 from ..optics.narrow import narrower_than_told
 from .checkpoint import Checkpoint, former_in, objective_in, problem_in
-from .fit_objective import Objective, Terms
-from .fitted import Arrays, Fitted
-from .ground_again import ground_again
-from .light_cone import (
+from .model.fitted import Arrays, Fitted
+from .model.problem import Problem
+from .objective.fit_objective import Objective, Terms
+from .rivals.light_cone import (
     ABERRATED,
     ANEW,
     GOES_ON,
@@ -24,10 +24,10 @@ from .light_cone import (
     objective_instead,
     spherical_of,
 )
-from .problem import Problem
-from .psf_tails import HAS_TAILS, tails_instead
+from .rivals.psf_tails import HAS_TAILS, tails_instead
 from .stage import Stage
-from .topology import TopologyPolicy
+from .surface.topology import TopologyPolicy
+from .voxels.ground_again import ground_again
 
 OWN_LIGHT = (
     "light that was assigned to other objects is the cell's own: the fit goes on with more voxels"

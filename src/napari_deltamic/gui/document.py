@@ -18,8 +18,8 @@ from ..common.doing import doing
 from ..errors import DoubtWarning
 from ..evidence.put_together import put_together, start_of
 from ..evidence.sanity import tell_doubts
-from ..fitting.checks import check_image
 from ..fitting.job import FitInput
+from ..fitting.model.checks import check_image
 from ..results.session_parts import SavedResult
 from ..results.timeline import Timeline
 from ..runs.settings import RunSettings, SceneSettings

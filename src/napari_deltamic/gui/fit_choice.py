@@ -11,7 +11,7 @@ from psygnal import Signal
 
 from ..common.triple import Triple, triple
 from ..errors import InputError
-from ..fitting.default_accuracy import (
+from ..fitting.model.default_accuracy import (
     accuracy_of,
     chosen,
     image_noise,

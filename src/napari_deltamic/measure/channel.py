@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..errors import InputError
 from ..evidence.voxel_variance import voxel_variance
-from ..fitting.checks import check_image
+from ..fitting.model.checks import check_image
 from ..geometry.mesh import FloatArray, Mesh
 from ..optics import GaussianPSF, Optics
 from ..scene import Grid, Scene, Solid, Surface, render_scene

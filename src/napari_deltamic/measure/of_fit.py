@@ -9,9 +9,9 @@ import numpy as np
 from ..common.triple import geometric_mean
 from ..errors import InputError
 from ..fitting import FitState
-from ..fitting.errors_of_measures import posed_at
-from ..fitting.replicating import replicas_of
-from ..fitting.responses import responses_of
+from ..fitting.uncertainty.errors_of_measures import posed_at
+from ..fitting.uncertainty.replicating import replicas_of
+from ..fitting.uncertainty.responses import responses_of
 from ..geometry.judgement import Judgement
 from ..geometry.replicas import Replicas
 from ..runs.fit_settings import FitSettings

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from functools import cache
 from importlib import import_module
-from pkgutil import iter_modules
+from pkgutil import walk_packages
 from types import ModuleType
 from typing import Any
 
-from ..fitting.schedule import Schedule
+from ..fitting.objective.schedule import Schedule
 
 _ROOMS = ("images", "geometry.labels", "optics", "fitting", "evidence")
 # Those that are not called as their module is, or as they are where that is not RULES.
@@ -61,5 +61,5 @@ def rules_of_a_fit() -> dict[str, dict[str, Any]]:
 def _modules() -> Iterator[ModuleType]:
     for room in _ROOMS:
         package = import_module(f"...{room}", __name__)
-        for file in iter_modules(package.__path__):
-            yield import_module(f".{file.name}", package.__name__)
+        for file in walk_packages(package.__path__, f"{package.__name__}."):
+            yield import_module(file.name)

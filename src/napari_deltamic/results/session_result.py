@@ -15,8 +15,8 @@ from ..common.reading import toml_values
 from ..common.triple import triple
 from ..errors import InputError
 from ..fitting import FitState
-from ..fitting.dark_nuclei import with_nuclei
 from ..fitting.job import optics_of
+from ..fitting.rivals.dark_nuclei import with_nuclei
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter
 from ..optics import GaussianPSF, Optics
 from ..runs.settings import RunSettings, validated

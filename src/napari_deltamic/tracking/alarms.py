@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fitting.growth_alarm import shrunken
+from ..fitting.surface.growth_alarm import shrunken
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import OUTSIDE, Mesh
 from ..scene import Grid

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..fitting.fit import fit
-from ..fitting.light_cone import confocal_of, widefield_of
-from ..fitting.psf_tails import core_and_tails
-from ..fitting.state import FitState
+from ..fitting.model.state import FitState
+from ..fitting.rivals.light_cone import confocal_of, widefield_of
+from ..fitting.rivals.psf_tails import core_and_tails
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics
 from ..runs.settings import FitSettings

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from ..fitting.likelihood import voxel_noise
-from ..fitting.state import FitState
+from ..fitting.model.likelihood import voxel_noise
+from ..fitting.model.state import FitState
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..scene import Grid

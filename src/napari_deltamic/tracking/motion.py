@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 
-from ..fitting.likelihood import match
-from ..fitting.preconditioner import NEAR_JUNCTIONS, Preconditioner
+from ..fitting.model.likelihood import match
+from ..fitting.solvers.preconditioner import NEAR_JUNCTIONS, Preconditioner
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import Optics

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..common.triple import Triple
 from ..errors import InputError
-from ..fitting.state import FitState
+from ..fitting.model.state import FitState
 from ..geometry.mesh import Mesh
 
 EventKind = Literal["divided", "ended", "alarm"]

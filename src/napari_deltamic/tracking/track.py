@@ -11,10 +11,10 @@ from typing import Any, Literal
 import numpy as np
 
 from ..errors import InputError
-from ..fitting.checks import check_mesh
 from ..fitting.fit import fit
-from ..fitting.state import FitState
-from ..fitting.voxel_ownership import counted_voxels
+from ..fitting.model.checks import check_mesh
+from ..fitting.model.state import FitState
+from ..fitting.voxels.voxel_ownership import counted_voxels
 from ..geometry.mesh import Mesh
 from ..geometry.remeshing import can_remesh, remesh, smallest_angles
 from ..geometry.topology.region_edits import divide_region, remove_region

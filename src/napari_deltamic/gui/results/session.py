@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import InputError
-from ...fitting.default_accuracy import usable_choice
 from ...fitting.job import FitInput, optics_of
+from ...fitting.model.default_accuracy import usable_choice
 from ...results.report import History
 from ...results.session_file import SavedImage, SavedResult, Session
 from ..document import VIEWS, Document

@@ -20,7 +20,7 @@ from ...accuracy.rough_surfaces import points_of
 from ...accuracy.tradeoff import Way, measure_ways
 from ...common.words import duration
 from ...errors import InputError
-from ...fitting.default_accuracy import (
+from ...fitting.model.default_accuracy import (
     PRESETS,
     Preset,
     accuracy_of,

@@ -13,7 +13,7 @@ from npe2 import PluginManager
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from ...common.choices import Modality
-from ...fitting.default_accuracy import usable_choice
+from ...fitting.model.default_accuracy import usable_choice
 from ...runs.optics_settings import MicroscopeOptics
 from ...runs.settings import FitSettings
 from ...scene.effects import Effects

@@ -11,7 +11,7 @@ from superqt.utils import signals_blocked
 from ...accuracy.accuracy_chart import short
 from ...common.description import described
 from ...errors import InputError
-from ...fitting.default_accuracy import PRESETS, written
+from ...fitting.model.default_accuracy import PRESETS, written
 from ...runs.settings import FitSettings
 from ..document import Document
 from ..fields import Form

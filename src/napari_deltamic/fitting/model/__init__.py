@@ -1,0 +1,1 @@
+"""What is fitted, and to what: unknowns, levels of the image, likelihood, states."""

@@ -1,0 +1,1 @@
+"""The log posterior as it is posed, and the steps down it."""

@@ -1,0 +1,1 @@
+"""Other models of what shines and of the PSF, held against the one that was fitted."""

@@ -1,0 +1,63 @@
+"""The PSFs that a fit may find in place of the Gaussian that it was given, as plain values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...common.triple import Triple
+from ...optics import ConfocalPSF, GaussianMixturePSF, Optics, ScalarPSF
+from ...runs.optics_settings import MicroscopeOptics, MixtureOptics
+
+FoundPSF = ScalarPSF | ConfocalPSF | GaussianMixturePSF
+
+
+def values_of(optics: Optics) -> dict[str, Any] | None:
+    """What makes a PSF that a fit has found; None for one of another kind."""
+    if not isinstance(optics, FoundPSF):
+        return None
+    values = {name: float(value.detach()) for name, value in optics.values.items()}
+    return {**values, "fitted": list(optics.fitted)}
+
+
+def psf_from(values: dict[str, Any]) -> FoundPSF:
+    """From :func:`values_of`."""
+    values = dict(values)
+    fitted = values.pop("fitted")
+    if "mass2" in values:
+        widths, masses = _widths_and_masses(values)
+        return GaussianMixturePSF(widths, masses, fitted=fitted)
+    lit = {name: values.pop(name) for name in ("excitation", "pinhole") if name in values}
+    if not lit:
+        return ScalarPSF(**values, fitted=fitted)
+    return ConfocalPSF(ScalarPSF(**values), **lit, fitted=fitted)
+
+
+def settings_of(optics: Optics) -> MicroscopeOptics | MixtureOptics | None:
+    """The settings of a PSF that a fit has found; None for one of another kind."""
+    found = values_of(optics)
+    if found is None:
+        return None
+    fitted = tuple(found["fitted"])
+    if isinstance(optics, GaussianMixturePSF):
+        widths, masses = _widths_and_masses(found)
+        return MixtureOptics(sigmas=widths, masses=masses, fitted=fitted)
+    return MicroscopeOptics(
+        modality="widefield" if isinstance(optics, ScalarPSF) else "confocal",
+        na=found["na"],
+        wavelength=found["wavelength"],
+        immersion=found["index"],
+        excitation=found.get("excitation"),
+        model="scalar",
+        spherical=found["spherical"],
+        fitted=fitted,
+    )
+
+
+def _widths_and_masses(values: dict[str, Any]) -> tuple[tuple[Triple, ...], tuple[float, ...]]:
+    """Of each Gaussian of a mixture."""
+    count = 1 + sum(name.startswith("mass") for name in values)
+    widths = tuple(
+        (values[f"sigma{n}_z"], values[f"sigma{n}_y"], values[f"sigma{n}_x"])
+        for n in range(1, count + 1)
+    )
+    return widths, (1.0, *(values[f"mass{n}"] for n in range(2, count + 1)))

@@ -1,0 +1,1 @@
+"""The surface between two steps: triangles, collisions, topology."""

@@ -1,0 +1,68 @@
+"""Which voxels may count, asked again where a fit has ended.
+
+Before a fit, that follows from where it starts (:mod:`.voxel_ownership`). From a start in the dark
+middle of a bright layer, or far beside the cell, light of the cell itself may be taken for that of
+another object; the surface then ends within that light. From where it has ended, most of the cell
+is known, and what is left of such light is as near as its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...scene.render import offset
+from ..model.fitted import Fitted
+from ..model.problem import Problem
+from .voxel_ownership import counted_voxels, surface_shares
+
+
+@dataclass(frozen=True)
+class GroundRules:
+    """When a fit goes on with other voxels.
+
+    Attributes
+    ----------
+    own
+        Share of the surface of a cell that lay in light of other objects and, asked again, lies in
+        its own: what a verdict says of a surface in such light (:mod:`..evidence.verdict`).
+    times
+        How often a fit goes on so, at most; chosen.
+    """
+
+    own: float = 0.1
+    times: int = 2
+
+
+RULES = GroundRules()
+
+
+def ground_again(problem: Problem, fitted: Fitted) -> Problem | None:
+    """The problem with the voxels that are cells' own by now; None where hardly any came to them.
+
+    None that counted is lost.
+    """
+    if problem.foreign is None or problem.anew is None or problem.anew >= RULES.times:
+        return None
+    mesh, grid = fitted.mesh, problem.grid
+    before = surface_shares(problem.counted, grid, mesh)
+    if all(1 - share < RULES.own for share in before.values()):
+        return None  # however many voxels came to them
+    added, measured = offset(fitted.effects, grid), problem.counted | problem.foreign
+    image = problem.image if added is None else problem.image - added.numpy()
+    image = np.where(measured, image, np.nan).astype(np.float32)
+    own = counted_voxels(image, grid, mesh, fitted.first_optics) & measured
+    counted = own | problem.counted
+    now = surface_shares(counted, grid, mesh)
+    if all(now[cell] - before[cell] < RULES.own for cell in before):
+        return None
+    return with_ground(problem, counted, problem.anew + 1)
+
+
+def with_ground(problem: Problem, counted: NDArray[np.bool_], anew: int) -> Problem:
+    """The same with other voxels that count, found anew so often; the rest is foreign."""
+    measured = problem.counted if problem.foreign is None else problem.counted | problem.foreign
+    counted = measured & counted
+    return replace(problem, counted=counted, foreign=measured & ~counted, anew=anew)
