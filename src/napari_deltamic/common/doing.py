@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
@@ -32,12 +32,13 @@ def listening(listener: Listener) -> Iterator[None]:
         _LISTENER.reset(before)
 
 
-def heard(items: Iterator[T], listener: Listener) -> Iterator[T]:
+def heard(items: Iterable[T], listener: Listener) -> Iterator[T]:
     """The same items; what is done to make each is heard."""
+    made = iter(items)
     while True:
         with listening(listener):
             try:
-                item = next(items)
+                item = next(made)
             except StopIteration:
                 return
         yield item
