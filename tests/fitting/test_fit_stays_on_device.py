@@ -83,7 +83,7 @@ def test_an_evaluation_reads_no_image(monkeypatch, density, fit_psf):
     assert not [reads.large for reads in found if reads.large]
     for reads in found:
         # Five numbers of the match in one go, the value, and the gradients.
-        assert reads.small["model/likelihood.py: tolist"] == 1
+        assert reads.small["fitting/model/likelihood.py: tolist"] == 1
         assert sum(reads.small.values()) <= 24, reads.small
 
 
