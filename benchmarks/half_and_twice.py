@@ -3,8 +3,8 @@
 ``python -m benchmarks.half_and_twice evidence.evidence_rules:SPECTRUM.rings ...`` prints, for each
 number, the largest change of anything in each set of small cases: of numbers that the evidence
 tells relative to themselves, of surfaces in voxels. ``--cases`` names some of them. A number of a
-module is written ``fitting.metric:_DENSITY``, a default of a class
-``fitting.schedule:Schedule.held``.
+module is written ``fitting.objective.metric:_DENSITY``, a default of a class
+``fitting.objective.schedule:Schedule.held``.
 """
 
 from __future__ import annotations

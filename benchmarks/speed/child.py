@@ -102,7 +102,11 @@ def _described(state: Any) -> Values:
 def _volume_sd(given: Arrays, grid: Any, state: Any, settings: Any) -> float | None:
     """um^3: the standard deviation of the volume that the fit predicts; None where it does not."""
     try:
-        module = _from("fitting.errors_of_measures", "inference.errors_of_measures")
+        module = _from(
+            "fitting.uncertainty.errors_of_measures",
+            "fitting.errors_of_measures",
+            "inference.errors_of_measures",
+        )
     except ModuleNotFoundError:
         return None
     if hasattr(module, "predicted_volume_sd"):
