@@ -245,6 +245,7 @@ def resting(optics, left=1.0, edited=False, answered=False):
         fitted=SimpleNamespace(optics=optics),
         objective=objective,
         terms=SimpleNamespace(level=SimpleNamespace(grid=GRID)),
+        problem=SimpleNamespace(foreign=None),
         posed_here=lambda: objective,
     )
 

@@ -15,7 +15,7 @@ from napari_deltamic.fitting.objective.schedule import Schedule
 from napari_deltamic.fitting.rivals import psf_tails
 from napari_deltamic.fitting.rivals.found_psf import psf_from, values_of
 from napari_deltamic.fitting.rivals.psf_tails import HAS_TAILS, RULES, core_and_tails, tails_instead
-from napari_deltamic.fitting.successor import BACK, successor
+from napari_deltamic.fitting.successor import BACK, OWN_LIGHT, successor
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
@@ -236,6 +236,32 @@ def test_a_fit_with_tails_goes_on_where_the_steps_ended(monkeypatch):
     )
     successor(run, True)
     assert went_on == [HAS_TAILS, (answers["tails_instead"][0], False, "what was tried")]
+
+
+@pytest.mark.parametrize(("optics", "all_shines"), [(ABOUT, True), (TAILED, False)])
+def test_which_voxels_count_is_asked_where_a_fit_with_tails_has_ended_too(
+    monkeypatch, optics, all_shines
+):
+    there, went_on = "napari_deltamic.fitting.successor", []
+    monkeypatch.setattr(f"{there}._back", lambda run, former: None)
+    monkeypatch.setattr(f"{there}.ground_again", lambda problem, fitted: "more voxels")
+    further = SimpleNamespace(go_on_at=lambda fitted, **how: went_on.append(how["all_shines"]))
+    fitted = SimpleNamespace(optics=optics, first_optics=optics)
+    fitted.seen_through = lambda optics: fitted
+    run = SimpleNamespace(
+        let_former_go=lambda: None if all_shines else "a Gaussian",
+        stage=SimpleNamespace(edited=False, psfs_tried=0),
+        problem=None,
+        fitted=fitted,
+        on_ground=lambda problem: went_on.append(problem) or further,
+        say=went_on.append,
+        checkpoint=lambda: SimpleNamespace(policy=None),
+    )
+    assert successor(run, True) == (further, False)
+    assert went_on == [OWN_LIGHT, "more voxels", all_shines]
+    if not all_shines:
+        monkeypatch.setattr(f"{there}.ground_again", lambda problem, fitted: None)
+        assert successor(run, True) == (None, False)  # no other PSF is tried after that
 
 
 def test_a_run_that_was_edited_is_not_asked_for_tails(monkeypatch):

@@ -207,8 +207,10 @@ class Run:
         at = self._level.at
         if all_shines:
             fitted = at.choice.anew(fitted)
-        patience = 0 if all_shines else self._context.schedule.patience
-        progress = Progress(iterations=patience, asked_again=not all_shines)
+        progress = Progress()
+        if not all_shines:
+            patience = self._context.schedule.patience
+            progress = Progress(iterations=patience, asked_again=True, nuclei=True)
         stage = replace(at.stage, level_number=len(at.levels) - 1, progress=progress)
         self._go_on_at(Position(fitted, stage, at.settings))
         if policy is not None:
