@@ -10,13 +10,13 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting import model_choice
+from napari_deltamic.fitting.model.dimmed import with_nuclei
 from napari_deltamic.fitting.rivals import dark_nuclei
 from napari_deltamic.fitting.rivals.dark_nuclei import (
     RULES,
     _followed,
     _with_nuclei,
     around_nuclei,
-    with_nuclei,
 )
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface

@@ -57,7 +57,7 @@ def widget(make_widget, with_image):
         amplitude=1.0,
         background=0.0,
         blur=1.0,
-        _render=lambda: image * 0.5,
+        _image=image * 0.5,
     )
     job = FitInput(settings, image, grid, mesh, optics, None)
     history = History([1.0, 0.7, 0.5], [1] * 3, [1.0] * 3)

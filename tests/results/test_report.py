@@ -56,7 +56,7 @@ def a_state(mesh, rendered, **changes):
         blur=3.2,
         converged=True,
         message="converged",
-        _render=lambda: rendered,
+        _image=rendered,
     )
     return FitState(**{**facts, **changes})
 

@@ -28,7 +28,7 @@ def state(mesh, like=None):
     image, amplitude = rendered(mesh, like)
     density = np.ones(len(mesh.faces))
     return FitState(1, 1, 1, mesh, OPTICS, density, 0.1, amplitude, 2.0, 1.0,
-                    _render=lambda: image)  # fmt: skip
+                    _image=image)  # fmt: skip
 
 
 def found(shift, velocity=(0, 0, 0)):

@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from ..geometry.carry import carried
-from ..scene import expected_image
 from .job import FitInput
 from .model.change import Change
 from .model.state import FitState
@@ -44,22 +42,6 @@ def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
         optics = change.optics.detach()
     if change.pinned is not None:
         pinned = change.pinned
-    grid, settings = job.grid, job.settings
-    amplitude, background = state.amplitude, state.background
-
-    def rendered() -> NDArray[np.float32]:
-        return expected_image(
-            mesh,
-            grid,
-            optics,
-            settings.fit.image_accuracy,
-            amplitude,
-            background,
-            density=density,
-            effects=state.effects,
-            light=state.light,
-        )
-
     return replace(
         state,
         mesh=mesh,
@@ -70,6 +52,8 @@ def changed_by_hand(state: FitState, job: FitInput, change: Change) -> FitState:
         converged=False,
         message=_CHANGED,
         moving=None,
-        _render=rendered,
+        grid=job.grid,
+        accuracy=job.settings.fit.image_accuracy,
+        _image=None,
         _checkpoint=dict,
     )

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import FitSettings
-from ..scene import Renderer, Scene, expected_image
+from ..scene import Renderer, Scene
 from ..scene.effects import Effects
 from .model.change import Change
 from .model.likelihood import Match, match
@@ -87,11 +87,6 @@ def _state(
     settings: FitSettings,
     found: Match,
 ) -> FitState:
-    def rendered() -> np.ndarray:
-        return expected_image(
-            mesh, problem.grid, optics, settings.image_accuracy, found.amplitude, found.background
-        )
-
     ends = iteration == settings.max_iterations
     return FitState(
         iteration=iteration,
@@ -106,5 +101,6 @@ def _state(
         blur=1.0,
         message=f"stopped after {iteration} iterations, as in the paper" if ends else "",
         evaluations=iteration,
-        _render=rendered,
+        grid=problem.grid,
+        accuracy=settings.image_accuracy,
     )

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ..geometry.mesh import FloatArray
-from ..scene import Grid, expected_image
+from ..scene import Grid
 from .model.fitted import Arrays, Fitted
 from .model.likelihood import Match
 from .model.state import FitState
-from .rivals.dark_nuclei import with_nuclei
 from .stage import Stage
 
 
@@ -42,20 +39,6 @@ def state_of(
         The last checkpoint.
     """
 
-    def rendered() -> np.ndarray:
-        image = expected_image(
-            fitted.mesh,
-            grid,
-            fitted.optics,
-            accuracy,
-            found.amplitude,
-            found.background,
-            density=density,
-            effects=fitted.effects,
-            light=fitted.light,
-        )
-        return with_nuclei(image, fitted.dimmed, found.background, fitted.effects, grid)
-
     return FitState(
         iteration=stage.iteration,
         level=stage.level_number + 1,
@@ -73,6 +56,7 @@ def state_of(
         evaluations=stage.evaluations,
         unsure=stage.progress.unsure and fitted.structure != "membrane",
         dimmed=fitted.dimmed,
-        _render=rendered,
+        grid=grid,
+        accuracy=accuracy,
         _checkpoint=lambda: kept,
     )

@@ -78,7 +78,7 @@ def compared(rendered: NDArray[np.float32], job: FitInput, spread: Spread) -> Co
 def judge(state: FitState, job: FitInput, spread: Spread) -> Compared:
     """The images of the end of a fit, and where they do not agree."""
     rendered = state.rendered()
-    given = replace(state, _render=lambda: rendered)
+    given = state.showing(rendered)
     variance = spread.variance(job)
     found = analyse_residual(job.image, job.grid, given, counted=job.counted, variance=variance)
     verdict = verdict_of(job, given, found, rendered)

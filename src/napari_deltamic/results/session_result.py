@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from math import isfinite, nan
 from typing import Any
 
@@ -16,11 +16,10 @@ from ..common.triple import triple
 from ..errors import InputError
 from ..fitting import FitState
 from ..fitting.job import optics_of
-from ..fitting.rivals.dark_nuclei import with_nuclei
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter
 from ..optics import GaussianPSF, Optics
 from ..runs.settings import RunSettings, validated
-from ..scene import Grid, expected_image
+from ..scene import Grid
 from ..scene.effects import Effects
 from ..scene.light import Light
 from .report import History
@@ -106,6 +105,8 @@ def saved_result(archive: ArchiveReader, facts: ResultFacts, grid: Grid) -> Save
         light=Light.from_dict(shown.light),
         pinned=archive.array("state/pinned") if shown.pinned else None,
         dimmed=archive.array("state/dimmed") if shown.dimmed else None,
+        grid=grid,
+        accuracy=settings.fit.image_accuracy,
     )
     if len(state.density) != len(state.mesh.faces):
         raise InputError("its densities belong to another mesh")
@@ -115,7 +116,7 @@ def saved_result(archive: ArchiveReader, facts: ResultFacts, grid: Grid) -> Save
         raise InputError("its nuclei belong to another image")
     return SavedResult(
         settings=settings,
-        state=_with_images(state, grid, settings),
+        state=state,
         history=History(**course, first=facts.first),
         seconds=facts.seconds,
         verdict=facts.verdict,
@@ -139,26 +140,6 @@ def _moment(meshes: MeshReader, facts: MomentFacts, row: NDArray[Any], first: Op
         optics=_optics(facts.optics, first),
         note=facts.note,
     )
-
-
-def _with_images(state: FitState, grid: Grid, settings: RunSettings) -> FitState:
-    """The state, able to render itself as it was during the fit."""
-
-    def rendered() -> NDArray[np.float32]:
-        even = expected_image(
-            state.mesh,
-            grid,
-            state.optics,
-            settings.fit.image_accuracy,
-            state.amplitude,
-            state.background,
-            density=state.density,
-            effects=state.effects,
-            light=state.light,
-        )
-        return with_nuclei(even, state.dimmed, state.background, state.effects, grid)
-
-    return replace(state, _render=rendered)
 
 
 def _optics(facts: Mapping[str, Any], first: Optics) -> Optics:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,10 @@ from ...errors import InputError
 from ...geometry.archive import opened
 from ...geometry.mesh import Mesh
 from ...optics import Optics
+from ...scene import Grid, expected_image
 from ...scene.effects import Effects
 from ...scene.light import MEMBRANES, Light
+from .dimmed import with_nuclei
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,8 @@ class FitState:
     counted
         (Z, Y, X) bool: voxels that may count, where that was found anew on the way; None: those
         that were given.
+    grid, accuracy
+        Of the image that it renders; an accuracy of 0 is exact.
     """
 
     iteration: int
@@ -89,12 +93,32 @@ class FitState:
     unsure: bool = False
     dimmed: np.ndarray | None = None
     counted: np.ndarray | None = None
-    _render: Callable[[], np.ndarray] = field(repr=False, default=lambda: np.zeros(0))
+    grid: Grid | None = None
+    accuracy: float = 0.0
+    _image: np.ndarray | None = field(repr=False, default=None)
     _checkpoint: Callable[[], dict[str, np.ndarray]] = field(repr=False, default=dict)
 
     def rendered(self) -> np.ndarray:
         """(Z, Y, X) float32: what the microscope would show of this state; computed when asked."""
-        return self._render()
+        if self._image is not None:
+            return self._image
+        assert self.grid is not None, "a state that a fit made knows its grid"
+        even = expected_image(
+            self.mesh,
+            self.grid,
+            self.optics,
+            self.accuracy,
+            self.amplitude,
+            self.background,
+            density=self.density,
+            effects=self.effects,
+            light=self.light,
+        )
+        return with_nuclei(even, self.dimmed, self.background, self.effects, self.grid)
+
+    def showing(self, image: np.ndarray) -> FitState:
+        """The same, with its image, which was rendered already."""
+        return replace(self, _image=image)
 
     def save(self, path: str | Path) -> None:
         """Write a checkpoint that ``fit(..., resume=path)`` goes on from."""

@@ -27,9 +27,7 @@ from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import FloatArray, Mesh
 from ...optics import GaussianMixturePSF, GaussianPSF
 from ...scene import Grid
-from ...scene.effects import Effects
 from ...scene.light import INSIDES, Light
-from ...scene.render import offset
 from ..model.fitted import Fitted
 from ..model.level import Level
 from ..model.shape import Shape
@@ -187,22 +185,6 @@ def around_nuclei(terms: Terms, objective: Objective) -> tuple[Fitted | None, bo
     if held or any(gains_exceed_error([-gain], RIVALS.errors) for gain in gains):
         return None, True, taken
     return _alone(terms.level, rival, cells), False, taken
-
-
-def with_nuclei(
-    even: NDArray[np.float32],
-    dimmed: NDArray[np.float32] | None,
-    background: float,
-    effects: Effects,
-    grid: Grid,
-) -> NDArray[np.float32]:
-    """(Z, Y, X) the image of even insides, with what nuclei dim; what effects add is as bright."""
-    if dimmed is None:
-        return even
-    added = offset(effects, grid)
-    dark = np.float32(background) if added is None else added.numpy() + np.float32(background)
-    shown: NDArray[np.float32] = (dark + dimmed * (even - dark)).astype(np.float32)
-    return shown
 
 
 def _followed(terms: Terms, both: Objective, cells: _Cells) -> tuple[Objective, bool, int]:
