@@ -26,8 +26,9 @@ from ..model.variables import Variables
 from ..solvers.preconditioner import Preconditioner
 from .look import Look
 from .posed import Posed, squares_left
-from .posterior import Posterior, Prior
+from .posterior import Posterior
 from .prediction import View
+from .prior import Prior
 
 # Share of its voxels by which a surface may have left those that are held: with more, the image
 # would no longer be judged where the surface is.

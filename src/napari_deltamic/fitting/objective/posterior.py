@@ -9,50 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...common.choices import Structure
-from ...geometry.bending import BendingEnergy
-from ...geometry.cell_bending import CellBending
-from ...geometry.junction_bending import JunctionBending
 from ...geometry.mesh import FloatArray
-from ...optics import Optics
-from ...scene import Renderer
-from ...scene.columns import Now
-from ...scene.effects import Effects
 from ...scene.light import INSIDES, Light
-from ..model.density import Density
-from ..model.imaging import Imaging
-from ..model.level import Level
 from ..model.likelihood import Match, explained, products, total
-from ..model.unequal_insides import Insides
 from ..model.variables import Variables
-from .prediction import Prediction, Unknowns, View, as_floats
+from .prediction import Prediction, as_floats
 
 _PIECE = 2**18  # voxels of which products are made at a time; chosen, a few megabytes
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is known beforehand.
-
-    Attributes
-    ----------
-    bending, junctions
-        The bending energies of the surface (of cells as closed bodies where insides alone shine)
-        and of the lines where walls meet.
-    stiffness
-        Their weight, a pure number.
-    density, insides
-        The densities and their prior; the brightness of insides and theirs.
-    imaging
-        PSF and effects, and theirs.
-    """
-
-    bending: BendingEnergy | CellBending
-    junctions: JunctionBending
-    stiffness: float
-    density: Density
-    insides: Insides
-    imaging: Imaging
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,42 +44,7 @@ class Evaluation:
 
 
 class Posterior(Prediction):
-    """The objective: how well what is predicted fits what was measured, and what is known.
-
-    Parameters
-    ----------
-    level, renderer
-        Where images are compared, and what renders them.
-    views
-        The measured images, the fit's own first.
-    prior
-        See :class:`Prior`.
-    density_fitted
-        Whether the densities are unknowns, or held.
-    structure
-        What may shine; how much of each is solved for at every evaluation.
-    """
-
-    def __init__(
-        self,
-        level: Level,
-        renderer: Renderer,
-        views: Sequence[View],
-        prior: Prior,
-        density_fitted: bool,
-        structure: Structure = "membrane",
-    ) -> None:
-        super().__init__(
-            level,
-            renderer,
-            views,
-            prior.density,
-            prior.insides,
-            prior.imaging,
-            density_fitted,
-            structure,
-        )
-        self._prior = prior
+    """The objective: how well what is predicted fits what was measured, and what is known."""
 
     def with_measured(self, measured: Tensor) -> Posterior:
         """The same with another first image, (N,) where voxels count; weights stay."""
@@ -131,7 +59,7 @@ class Posterior(Prediction):
         self._shone = None  # before what follows takes the most memory
         unknowns = self._unknowns(at)
         optics = self._optics(unknowns)
-        effects = self._imaging.effects_of(at.effects)
+        effects = self._prior.imaging.effects_of(at.effects)
         renderer = self._with(effects)
         otfs = [self._otf(view, renderer, optics) for view in self._views]
         shining = self._shining(renderer, unknowns, otfs[0].detach())
@@ -146,11 +74,11 @@ class Posterior(Prediction):
             squares, found = explained(image, voxels.index, measured, weights)
             nats = nats.to(squares) + squares / (2 * view.variance)
             if told is None:
-                told, first = found, (image, otf)
+                told, first = found, image
         assert told is not None
         assert first is not None
         nats.backward()
-        by_effects = self._by_effects(effects, optics, unknowns, light, spectrum, first, told)
+        self._shone = at, replace(shining, spectrum=spectrum.detach(), image=first.detach())
         # None where membranes or insides do not shine.
         by_density, by_insides = (
             np.zeros_like(own) if leaf.grad is None else as_floats(leaf.grad)
@@ -161,64 +89,36 @@ class Posterior(Prediction):
             by_density,
             by_insides,
             as_floats(unknowns.optics.grad),
-            by_effects,
+            self._by_effects(at, told),
         )
         value, gradient = self._with_priors(float(nats.detach()), gradient, at)
-        self._shone = at, replace(shining, spectrum=spectrum.detach(), image=first[0].detach())
-        return Evaluation(value, gradient, told, first[0].detach(), light)
+        return Evaluation(value, gradient, told, first.detach(), light)
 
-    @property
-    def prior(self) -> Prior:
-        """What is known beforehand."""
-        return self._prior
-
-    def _by_effects(
-        self,
-        effects: Effects,
-        optics: Optics,
-        unknowns: Unknowns,
-        light: Light,
-        spectrum: Tensor,
-        first: tuple[Tensor, Tensor],
-        found: Match,
-    ) -> FloatArray:
+    def _by_effects(self, at: Variables, found: Match) -> FloatArray:
         """(E,) derivatives by the numbers of effects: their columns times the residuals."""
-        if not self._imaging.fitted:
+        if not (self._prior.imaging.fitted and len(at.effects)):
             return np.zeros(0)
         with torch.no_grad():
-            view = self._views[0]
-            image, otf = (t.detach() for t in first)
-            values = view.voxels.of(image)
-            measured = self._measured(view, effects)
-            weights = view.voxels.weights_for(values, measured)
-            pull = (found.amplitude * values + found.background - measured) * weights
-            now = Now(
-                self._level,
-                self._with(effects),
-                optics.detach(),
-                effects,
-                lambda other: self._transform(other, unknowns, light),
-                spectrum.detach(),
-                otf,
-                values,
-                view.voxels,
-                found.amplitude,
-            )
-            return self._imaging.effect_sums(now, view.voxels, pull) / view.variance
+            view, now = self._views[0], self._now(at)
+            measured = self._measured(view, now.effects)
+            weights = view.voxels.weights_for(now.image, measured)
+            pull = (found.amplitude * now.image + found.background - measured) * weights
+            return self._prior.imaging.effect_sums(now, view.voxels, pull) / view.variance
 
     def _with_priors(
         self, nats: float, by_image: Variables, at: Variables
     ) -> tuple[float, Variables]:
-        bend, by_vertices = self._prior.bending(at.vertices)
-        turn, by_lines = self._prior.junctions(at.vertices)
-        kappa = self._prior.stiffness
-        rough, by_density = self._prior.density.prior(at.density, self._views[0].independent)
-        known, by_optics, by_effects = self._imaging.prior(at.optics, at.effects)
-        unequal, by_insides = self._prior.insides.prior(at.insides)
+        prior = self._prior
+        bend, by_vertices = prior.bending(at.vertices)
+        turn, by_lines = prior.junctions(at.vertices)
+        kappa = prior.stiffness
+        rough, by_density = prior.density.prior(at.density, self._views[0].independent)
+        known, by_optics, by_effects = prior.imaging.prior(at.optics, at.effects)
+        unequal, by_insides = prior.insides.prior(at.insides)
         if not self._density_fitted:
             by_density = np.zeros_like(by_density)
         by_insides = by_image.insides + by_insides
-        if self._prior.insides.held:
+        if prior.insides.held:
             by_insides = np.zeros_like(by_insides)
         gradient = Variables(
             by_image.vertices + kappa * (by_vertices + by_lines),
@@ -238,7 +138,7 @@ class Posterior(Prediction):
         if not len(at.insides):
             return np.zeros(0)
         unknowns, view = self._unknowns(at), self._views[0]
-        renderer = self._with(self._imaging.effects_of(at.effects))
+        renderer = self._with(self._prior.imaging.effects_of(at.effects))
         with torch.no_grad():
             optics = self._optics(unknowns)
         alike = torch.ones_like(unknowns.insides, requires_grad=True)
@@ -268,7 +168,7 @@ class Posterior(Prediction):
         found = found / scale / scale[:, None]
         own, mixed, free = found[:2, :2], found[:2, 2:], found[2:, 2:]
         free = free - mixed.T @ np.linalg.pinv(own) @ mixed
-        return free / view.variance + self._imaging.prior_curvature()
+        return free / view.variance + self._prior.imaging.prior_curvature()
 
 
 def _products(weights: Tensor, rows: Sequence[Tensor]) -> FloatArray:

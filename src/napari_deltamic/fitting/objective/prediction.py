@@ -18,12 +18,10 @@ from ...scene.columns import Now, effect_columns, optics_columns
 from ...scene.effects import Effect, Effects
 from ...scene.light import INSIDES, MEMBRANES, Light
 from ..model.amplitudes import light_of
-from ..model.density import Density
-from ..model.imaging import Imaging
 from ..model.level import Level, Voxels
 from ..model.likelihood import match
-from ..model.unequal_insides import Insides
 from ..model.variables import Variables
+from .prior import Prior
 
 
 @dataclass(frozen=True)
@@ -94,8 +92,9 @@ class Prediction:
         Where images are compared, and what renders them.
     views
         The measured images, the fit's own first.
-    density, insides, imaging
-        How the unknowns give densities of faces, the brightness of insides, PSF and effects.
+    prior
+        What is known beforehand, and how the unknowns give densities of faces, the brightness of
+        insides, PSF and effects.
     density_fitted
         Whether the densities are unknowns, or held.
     structure
@@ -107,14 +106,11 @@ class Prediction:
         level: Level,
         renderer: Renderer,
         views: Sequence[View],
-        density: Density,
-        insides: Insides,
-        imaging: Imaging,
+        prior: Prior,
         density_fitted: bool,
-        structure: Structure,
+        structure: Structure = "membrane",
     ) -> None:
-        self._level, self._renderer, self._views = level, renderer, views
-        self._density, self._insides, self._imaging = density, insides, imaging
+        self._level, self._renderer, self._views, self._prior = level, renderer, views, prior
         self._structure, self._density_fitted = structure, density_fitted
         self._faces_on = for_objects(level.device)
         self._kept: tuple[FloatArray, Optics] | None = None
@@ -127,6 +123,11 @@ class Prediction:
         return tuple(self._views)
 
     @property
+    def prior(self) -> Prior:
+        """What is known beforehand."""
+        return self._prior
+
+    @property
     def level(self) -> Level:
         """Where images are compared."""
         return self._level
@@ -135,7 +136,7 @@ class Prediction:
         """What shines, and how much of each, in the first image."""
         with torch.no_grad():
             unknowns = self._unknowns(at)
-            renderer = self._with(self._imaging.effects_of(at.effects))
+            renderer = self._with(self._prior.imaging.effects_of(at.effects))
             otf = self._otf(self._views[0], renderer, self._optics(unknowns))
             return self._shining(renderer, unknowns, otf).light
 
@@ -143,15 +144,15 @@ class Prediction:
         """(N,) the first image of a light where voxels count, of amplitude 1; no gradients."""
         with torch.no_grad():
             unknowns = self._unknowns(at)
-            view, renderer = self._views[0], self._with(self._imaging.effects_of(at.effects))
+            view, renderer = self._views[0], self._with(self._prior.imaging.effects_of(at.effects))
             spectrum = self._transform(renderer, unknowns, light)
             optics = self._optics(unknowns)
             return as_floats(view.voxels.of(self._image(view, renderer, spectrum, optics)))
 
     def _transform(self, renderer: Renderer, at: Unknowns, light: Light) -> Tensor:
         """Spectrum of a light, of the insides that are unknowns."""
-        weights = self._density.faces(at.density) if light.membrane else None
-        cells = self._insides.factors(at.insides) if light.interior else None
+        weights = self._prior.density.faces(at.density) if light.membrane else None
+        cells = self._prior.insides.factors(at.insides) if light.interior else None
         return renderer.transform(at.vertices, weights, light, cells)
 
     def _optics(self, at: Unknowns) -> Optics:
@@ -160,10 +161,10 @@ class Prediction:
         Else the same object for the same numbers: it keeps its OTF, and makes it once.
         """
         if torch.is_grad_enabled():
-            return self._imaging.optics_of(at.optics)
+            return self._prior.imaging.optics_of(at.optics)
         numbers = as_floats(at.optics)
         if self._kept is None or not np.array_equal(self._kept[0], numbers):
-            self._kept = numbers.copy(), self._imaging.optics_of(at.optics)
+            self._kept = numbers.copy(), self._prior.imaging.optics_of(at.optics)
         return self._kept[1]
 
     def _otf(self, view: View, renderer: Renderer, optics: Optics) -> Tensor:
@@ -198,7 +199,7 @@ class Prediction:
         each = [(by, of) for by, of in both if by]
         image = mixed([(by, images[of]) for by, of in each]) if images else None
         spectrum = mixed([(by, part(of)) for by, of in each])
-        return _Shining(spectrum, self._insides.shining(light, as_floats(at.insides)), image)
+        return _Shining(spectrum, self._prior.insides.shining(light, as_floats(at.insides)), image)
 
     def images(self, at: Variables, light: Light | None = None) -> list[FloatArray]:
         """(N,) of each view: its rendering where voxels count, of amplitude 1; no gradients.
@@ -208,12 +209,12 @@ class Prediction:
         with torch.no_grad():
             unknowns = self._unknowns(at)
             optics = self._optics(unknowns)
-            renderer = self._with(self._imaging.effects_of(at.effects))
+            renderer = self._with(self._prior.imaging.effects_of(at.effects))
             if light is None:
                 otf = self._otf(self._views[0], renderer, optics)
                 spectrum = self._shining(renderer, unknowns, otf).spectrum
             else:
-                weights = self._density.faces(unknowns.density)
+                weights = self._prior.density.faces(unknowns.density)
                 spectrum = renderer.transform(unknowns.vertices, weights, light)
             return self._of_every_view(renderer, spectrum, optics)
 
@@ -232,12 +233,12 @@ class Prediction:
         with torch.no_grad():
             unknowns = self._unknowns(at)
             optics = self._optics(unknowns)
-            effects = self._imaging.effects_of(at.effects)
+            effects = self._prior.imaging.effects_of(at.effects)
             light = self.light(at)
             insides = light.interior != 0
             renderer = self._level.renderer(mesh, optics, effects, accuracy, insides)
             there = self._faces_on
-            weights = self._density.faces(unknowns.density)
+            weights = self._prior.density.faces(unknowns.density)
             if weights is not None:
                 weights = weights.repeat_interleave(len(mesh.faces) // len(weights))
             vertices = torch.from_numpy(mesh.vertices_numpy()).to(there)
@@ -256,13 +257,13 @@ class Prediction:
 
     def measured(self, at: Variables) -> list[FloatArray]:
         """(N,) of each view: what was measured, without what effects add."""
-        effects = self._imaging.effects_of(at.effects)
+        effects = self._prior.imaging.effects_of(at.effects)
         return [as_floats(self._measured(view, effects)) for view in self._views]
 
     def less_effects(self, at: Variables, voxels: Voxels) -> Tensor:
         """(N,) what voxels of the first image measured, without what effects add."""
         view = replace(self._views[0], voxels=voxels)
-        return self._measured(view, self._imaging.effects_of(at.effects))
+        return self._measured(view, self._prior.imaging.effects_of(at.effects))
 
     def _unknowns(self, at: Variables) -> Unknowns:
         there = self._faces_on
@@ -306,7 +307,7 @@ class Prediction:
     def _imaging_columns(self, now: Now, at: Variables) -> list[Tensor]:
         """(N,) each: derivatives of the first image by PSF and effects."""
         columns = optics_columns(now) if len(at.optics) else []
-        return columns + self._imaging.effect_columns(now)
+        return columns + self._prior.imaging.effect_columns(now)
 
     def psf_columns(self, at: Variables) -> FloatArray:
         """(N, P) derivatives of the first measured image by its PSF, fitted or not."""
@@ -319,8 +320,8 @@ class Prediction:
 
         No column (E = 0) for one that reaches further than images are padded for.
         """
-        effects = self._imaging.effects_of(at.effects).adding(effect)
-        if not self._renderer.pads_enough_for(effects, self._imaging.optics):
+        effects = self._prior.imaging.effects_of(at.effects).adding(effect)
+        if not self._renderer.pads_enough_for(effects, self._prior.imaging.optics):
             return np.zeros((len(self._views[0].voxels.index), 0))
         with torch.no_grad():
             now = self._now(at, effect)
@@ -330,7 +331,7 @@ class Prediction:
         view = self._views[0]
         unknowns = self._unknowns(at)
         optics = self._optics(unknowns)
-        effects = self._imaging.effects_of(at.effects)
+        effects = self._prior.imaging.effects_of(at.effects)
         effects = effects if further is None else effects.adding(further)
         renderer = self._with(effects)
         otf = renderer.otf(optics)
