@@ -121,15 +121,12 @@ class Objective:
         SPARE.give_back()
         self.posed = pose(
             (level, terms.second),
-            fitted.shape,
+            fitted,
             self._density,
             self._imaging,
             terms.density_fitted,
             terms.last,
             held,
-            fitted.structure,
-            fitted.light,
-            fitted.dimmed,
         )
         self.fitted = fitted.moved(self.posed.at, self._imaging, terms.density_fitted)
         guard.watch(fitted.mesh)

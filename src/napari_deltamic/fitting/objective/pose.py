@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from torch import Tensor
 
-from ...common.choices import Structure
 from ...common.triple import geometric_mean
 from ...geometry.bending import BendingEnergy
 from ...geometry.cell_bending import CellBending
@@ -17,9 +16,9 @@ from ...geometry.junction_bending import JunctionBending
 from ...scene.light import MEMBRANES, Light
 from ..model.amplitudes import inside_over_membrane
 from ..model.density import Density
+from ..model.fitted import Fitted
 from ..model.imaging import Imaging
 from ..model.level import Level, Voxels
-from ..model.shape import Shape
 from ..model.unequal_insides import RULES as UNEQUAL
 from ..model.unequal_insides import Insides
 from ..model.variables import Variables
@@ -42,17 +41,28 @@ _ROUNDS = 5
 _HARDLY = 0.05
 
 
+@dataclass(frozen=True)
+class _Stand:
+    """Where an objective is posed: what was looked at there, and what shines."""
+
+    look: Look
+    at: Variables
+    light: Light
+    voxels: Voxels
+
+    def rendered(self) -> Tensor:
+        """(Z, Y, X) of that light."""
+        return self.look.rendered(self.at, self.light)
+
+
 def pose(
     levels: tuple[Level, Level | None],
-    shape: Shape,
+    fitted: Fitted,
     density: Density,
     imaging: Imaging,
     density_fitted: bool,
     tempered: bool,
     held: Sequence[View] = (),
-    structure: Structure = "membrane",
-    shone: Light = MEMBRANES,
-    dimmed: NDArray[np.float32] | None = None,
 ) -> Posed:
     """The objective at a level, from where the surface is now.
 
@@ -60,8 +70,11 @@ def pose(
     ----------
     levels
         That of the first image, and that of the second.
-    shape, density, imaging
-        As they are now.
+    fitted
+        As it is now: insides are as bright as they were. Where nothing is known of them, they
+        begin with what the image says.
+    density, imaging
+        How unknowns give its densities, PSF and effects.
     density_fitted
         Whether densities are unknowns. A smooth one of which nothing is known begins with the
         brightness of the image where the surface lies.
@@ -71,15 +84,45 @@ def pose(
     held
         Views of the objective before, where voxels, weights and variances stay what they are: as
         long as the surface has not left them.
-    structure
-        What may shine.
-    shone
-        What shone before: insides are as bright as they were. Where it says nothing of them, they
-        begin with what the image says.
-    dimmed
-        (Z, Y, X) by dark nuclei, see :class:`~.fitted.Fitted`.
     """
     level, second = levels
+    stand = _begun(level, fitted, density, imaging)
+    if held and _left_out(stand.voxels, held[0].voxels, level.grid.shape) > _LEFT:
+        held = ()
+    if held:
+        stand = replace(stand, voxels=held[0].voxels)
+    if density_fitted and fitted.shape.log_density is None:
+        stand = _with_density(stand)
+    prior = _prior(stand, fitted, density)
+
+    def posterior_of(views: Sequence[View], prior: Prior) -> Posterior:
+        look = stand.look
+        return Posterior(level, look.renderer, views, prior, density_fitted, look.structure)
+
+    views, whole = list(held), stand.voxels
+    if not held:
+        whole = stand.look.completed(stand.voxels, stand.rendered())
+        # Before they are evened, or what cells differ by is taken for unevenness. As cut insides
+        # are found to be brighter, the others are less bright beside them.
+        if len(prior.insides) and (whole.full is not None or not fitted.light.cells):
+            told = _view(stand, whole, tempered)
+            free = replace(prior, insides=replace(prior.insides, held=False))
+            stand = replace(stand, at=_with_insides(posterior_of([told], free), stand.at))
+            whole = stand.look.completed(stand.voxels, stand.rendered())
+        views = [_view(stand, _evened(stand, whole, fitted), tempered)]
+        if second is not None:
+            views.append(stand.look.second_view(second, stand.at, stand.light, tempered))
+    look, rendered, voxels = stand.look, stand.rendered(), views[0].voxels
+    found, variance = look.found(voxels, rendered), views[0].variance
+    firmness = look.firmness(voxels, rendered, found, stand.light) / variance
+    left = squares_left(found, voxels)
+    posterior = posterior_of(views, prior)
+    return Posed(posterior, stand.at, look.renderer, variance, left, bool(held), firmness, whole)
+
+
+def _begun(level: Level, fitted: Fitted, density: Density, imaging: Imaging) -> _Stand:
+    """Which voxels count, and what shines."""
+    shape, structure, shone = fitted.shape, fitted.structure, fitted.light
     known = shape.log_density
     log = np.zeros(len(density)) if known is None else density.centred(known)
     insides = Insides.of(shape.mesh, density.model, structure, level.factor > 1)
@@ -89,59 +132,48 @@ def pose(
     renderer = level.renderer(
         shape.mesh, imaging.optics, imaging.effects, insides=structure != "membrane"
     )
-    look = Look(level, renderer, density, insides, imaging, structure, shape.mesh, dimmed)
+    look = Look(level, renderer, density, insides, imaging, structure, shape.mesh, fitted.dimmed)
     voxels, light = look.voxels(at)
-    widths = level.factor * np.asarray(imaging.optics.sigma_um)
-    shining = inside_over_membrane(light, widths)
-    if level.factor > 1 and shining < _HARDLY:
-        structure, light = "membrane", MEMBRANES
+    shining = inside_over_membrane(light, level.factor * np.asarray(imaging.optics.sigma_um))
     if insides.held and not shone.cells and shining < UNEQUAL.at_blurred:
-        insides, at = insides.alike(), replace(at, insides=np.zeros(0))
-        look = replace(look, insides=insides)
-    if held and _left_out(voxels, held[0].voxels, level.grid.shape) > _LEFT:
-        held = ()
-    voxels = held[0].voxels if held else voxels
-    rendered = look.rendered(at, light)
-    begins = density_fitted and shape.log_density is None and density.model == "smooth"
-    if begins and light.membrane:
-        smoother = Preconditioner(shape.mesh, level.smoothing)
-        at = look.with_density(voxels, at, light, rendered, smoother)
-        rendered = look.rendered(at, light)
-    stiffness = level.settings.bending
-    width = geometric_mean(imaging.optics.sigma_um)
-    walls = CellBending(shape.mesh) if structure == "interior" else BendingEnergy(shape.mesh, width)
-    junctions = JunctionBending(shape.mesh, width)
+        at, look = replace(at, insides=np.zeros(0)), replace(look, insides=insides.alike())
+    if level.factor > 1 and shining < _HARDLY:
+        light, look = MEMBRANES, replace(look, structure="membrane")
+    return _Stand(look, at, light, voxels)
 
-    def posterior_of(insides: Insides, views: Sequence[View]) -> Posterior:
-        prior = Prior(walls, junctions, stiffness, density, insides, imaging)
-        return Posterior(level, renderer, views, prior, density_fitted, structure)
 
-    views, whole = list(held), voxels
-    if held:
-        found = look.found(voxels, rendered)
-    else:
-        whole = look.completed(voxels, rendered)
-        # Before they are evened, or what cells differ by is taken for unevenness. As cut insides
-        # are found to be brighter, the others are less bright beside them.
-        if len(insides) and (whole.full is not None or not shone.cells):
-            told = look.view(whole, rendered, look.found(whole, rendered), tempered)
-            at = _with_insides(posterior_of(replace(insides, held=False), [told]), at)
-            rendered = look.rendered(at, light)
-            whole = look.completed(voxels, rendered)
-        plain, voxels = voxels, whole
-        if level.factor == 1 and density.model != "uniform" and shone.interior > 0:
-            voxels = look.evened(
-                voxels, at, light, rendered, look.found(whole, rendered), plain.weights
-            )
-        found = look.found(voxels, rendered)
-        views = [look.view(voxels, rendered, found, tempered)]
-        if second is not None:
-            views.append(look.second_view(second, at, light, tempered))
-    variance = views[0].variance
-    posterior = posterior_of(insides, views)
-    firmness = look.firmness(voxels, rendered, found, light) / variance
-    left = squares_left(found, voxels)
-    return Posed(posterior, at, renderer, variance, left, bool(held), firmness, whole)
+def _with_density(stand: _Stand) -> _Stand:
+    """With a smooth density that is as bright as the image where the surface lies."""
+    look, light = stand.look, stand.light
+    if look.density.model != "smooth" or not light.membrane:
+        return stand
+    smoother = Preconditioner(look.mesh, look.level.smoothing)
+    at = look.with_density(stand.voxels, stand.at, light, stand.rendered(), smoother)
+    return replace(stand, at=at)
+
+
+def _prior(stand: _Stand, fitted: Fitted, density: Density) -> Prior:
+    look, mesh = stand.look, fitted.mesh
+    width = geometric_mean(look.imaging.optics.sigma_um)
+    alone = look.structure == "interior"
+    walls = CellBending(mesh) if alone else BendingEnergy(mesh, width)
+    junctions = JunctionBending(mesh, width)
+    stiffness = look.level.settings.bending
+    return Prior(walls, junctions, stiffness, density, look.insides, look.imaging)
+
+
+def _view(stand: _Stand, voxels: Voxels, tempered: bool) -> View:
+    rendered = stand.rendered()
+    return stand.look.view(voxels, rendered, stand.look.found(voxels, rendered), tempered)
+
+
+def _evened(stand: _Stand, whole: Voxels, fitted: Fitted) -> Voxels:
+    """Voxels whose insides are as even as they are modelled."""
+    look, rendered = stand.look, stand.rendered()
+    if look.level.factor != 1 or look.density.model == "uniform" or fitted.light.interior <= 0:
+        return whole
+    found, plain = look.found(whole, rendered), stand.voxels.weights
+    return look.evened(whole, stand.at, stand.light, rendered, found, plain)
 
 
 def _with_insides(posterior: Posterior, at: Variables) -> Variables:

@@ -10,6 +10,7 @@ from ...scene import Grid
 from ...scene.light import structure_of
 from ..model.default_accuracy import accuracy_for_image
 from ..model.density import Density
+from ..model.fitted import Fitted
 from ..model.imaging import Imaging
 from ..model.problem import Problem
 from ..model.shape import Shape
@@ -56,14 +57,8 @@ def posed_at(
     shape = Shape.begun(state.mesh, settings.density).moved(state.mesh.vertices_numpy(), log)
     optics = state.optics.detach()
     imaging = Imaging(optics, state.effects, optics, settings.fit_psf, True, level.range)
-    return pose(
-        (level, None),
-        shape,
-        density,
-        imaging,
-        density_fitted=False,
-        tempered=True,
-        structure=structure_of(state.light),
-        shone=state.light,
-        dimmed=state.dimmed,
+    structure = structure_of(state.light)
+    fitted = Fitted(
+        shape, optics, state.effects, optics, state.effects, structure, state.light, state.dimmed
     )
+    return pose((level, None), fitted, density, imaging, density_fitted=False, tempered=True)
