@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from ...common.normal import SIGMA_PER_MEDIAN_DEVIATION
 from ...geometry.mesh import FloatArray, IntArray, Mesh
 from ...geometry.vectors import crossed, lengths
 from ..solvers.preconditioner import adjacency
 
-# Standard deviation of a normal distribution over its median absolute deviation, by definition.
-_ROBUST = 1.4826
 _MOST_RINGS = 4  # of vertices around one that make a patch: finer meshes than that are rare
 
 
@@ -126,7 +125,7 @@ def drifted(moved: FloatArray, normals: FloatArray, mesh: Mesh) -> float:
     cells = [
         np.median(along[np.unique(mesh.faces[own])]) for own in mesh.faces_by_region().values()
     ]
-    return _ROBUST * float(max(cells, default=0.0))
+    return SIGMA_PER_MEDIAN_DEVIATION * float(max(cells, default=0.0))
 
 
 def strayed_off(before: Mesh, after: Mesh) -> bool:

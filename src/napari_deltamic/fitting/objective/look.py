@@ -29,15 +29,12 @@ from ..model.variables import Variables
 from ..solvers.preconditioner import Preconditioner
 from ..voxels.foreign_light import foreign_light
 from .evening import RULES as EVENING
-from .evening import unevenness
+from .evening import Image, unevenness
 from .prediction import View, as_floats, mixed
 
 # Rounds to the brightness that cut voxels tell while the shape stays, at most, and when it is
 # found, of itself. Chosen: each round is a Newton step, and few take more than ten.
 _BRIGHTER, _ALIKE = 20, 1e-3
-
-
-Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -209,7 +206,7 @@ class Look:
             weights = torch.from_numpy(trusted).to(weights)
         return replace(voxels, measured=evened, weights=weights)
 
-    def _likely(self, voxels: Voxels, model: Singles, given: Tensor) -> Singles:
+    def _likely(self, voxels: Voxels, model: Image, given: Tensor) -> Image:
         """(Z, Y, X) measured, less what effects add; of cut voxels, the mean of what may have been.
 
         model : (Z, Y, X). given : as for :meth:`evened`.
@@ -305,6 +302,6 @@ class Look:
         return weight * brightness**2 * sharp / (np.sqrt(np.pi) * volume)
 
 
-def _single(image: Tensor) -> Singles:
+def _single(image: Tensor) -> Image:
     """On the CPU, in single precision: whole images, of which doubles take gigabytes."""
     return image.detach().cpu().numpy().astype(np.float32, copy=False)
