@@ -210,6 +210,18 @@ def test_other_doubts_about_the_whole_leave_cells_good():
     assert (found.grade, [cell.grade for cell in found.cells]) == ("fair", ["good"])
 
 
+def test_many_doubts_at_once_are_poor():
+    doubted = replace(FINE, narrow=True, cut=0.6, compressed=True, explained=0.6)
+    assert len(judged(doubted).reasons) == RULES.doubts - 1
+    assert judged(doubted).grade == "fair"
+    two = (replace(FINE.cells[0], slices=2.0), replace(FINE.cells[0], region=2))
+    one_more = judged(replace(doubted, cells=two))
+    assert [cell.grade for cell in one_more.cells] == ["poor", "good"]
+    assert "too many doubts" in one_more.cells[0].reasons[0].text
+    alone = judged(replace(doubted, cells=two[:1]))
+    assert alone.grade == "poor"
+
+
 def test_the_error_told_is_that_of_the_cell_in_the_middle_as_the_grade_is():
     small, large = ShapeDeviation(0.01, 0, 0), ShapeDeviation(5.0, 0, 0)
     error = PredictedError(large, {1: small, 2: small, 3: large})

@@ -19,6 +19,9 @@ from .facts import CellFacts, Facts
 from .fit_checks import FIT_CHECKS, STRUCTURE_CHECKS
 from .predicted_error import PredictedError
 from .reason import GRADES, Grade, Reason, texts, worst
+from .verdict_rules import RULES
+
+_MANY = "too many doubts at once to trust its shape"
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ def judged(facts: Facts) -> Verdict:
     """
     doubts = [found for check in STRUCTURE_CHECKS if (found := check(facts))]
     reasons = [*(found for check in FIT_CHECKS if (found := check(facts))), *doubts]
-    cells = [_of_cell(cell, facts) for cell in facts.cells]
+    cells = [_of_cell(cell, facts, len(reasons)) for cell in facts.cells]
     grade = worst(reason.grade for reason in reasons)
     for word in GRADES[1:]:
         bad = [cell for cell in cells if cell.grade == word]
@@ -109,8 +112,11 @@ def judged(facts: Facts) -> Verdict:
     return Verdict(grade, tuple(reasons), doubted, facts.error)
 
 
-def _of_cell(cell: CellFacts, facts: Facts) -> CellVerdict:
+def _of_cell(cell: CellFacts, facts: Facts, others: int) -> CellVerdict:
+    """others : reasons that concern all cells."""
     found = [reason for check in CELL_CHECKS if (reason := check(cell, facts))]
+    if len(found) + others >= RULES.doubts:
+        found.append(Reason("doubts", "poor", _MANY))
     found.sort(key=lambda one: -GRADES.index(one.grade))  # what weighs most comes first
     predicted = facts.error.cells.get(cell.region)
     error = None if predicted is None else predicted.total
