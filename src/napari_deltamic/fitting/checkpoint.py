@@ -57,7 +57,7 @@ class Checkpoint:
     problem: Problem | None = None
 
     def saved(self) -> Arrays:
-        """As arrays."""
+        """Everything as arrays."""
         shape = self.fitted.shape
         plain = {
             **self.stage.to_dict(),
@@ -87,7 +87,7 @@ class Checkpoint:
         return of_image and bool(((dimmed > 0) & (dimmed <= 1)).all())
 
     def _ground(self) -> Arrays:
-        """Which voxels may count, if that was found anew, and how often."""
+        """The voxels that may count, if they were found anew, and how often that was."""
         if self.problem is None or not self.problem.anew:
             return {}
         return {"counted": self.problem.counted, "anew": np.array(self.problem.anew)}

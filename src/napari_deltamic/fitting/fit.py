@@ -127,7 +127,7 @@ def fit(
 # Also where the caller has turned gradients off, which a fit cannot do without.
 @torch.enable_grad()
 def _states(run: Run) -> Generator[FitState, Change | None, None]:
-    """Those of the run and of what follows it.
+    """The states of the run and of the runs that follow it.
 
     Where a GPU is too small for a run, the CPU takes over and says so.
     """

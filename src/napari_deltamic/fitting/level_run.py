@@ -93,7 +93,7 @@ class LevelRun:
         return LevelRun(self._context, replace(self.at, stage=stage))
 
     def _ask_of_small(self) -> None:
-        """Which of membranes and insides shine, where cells are too small to fit both."""
+        """Choose between membranes and insides where cells are too small to fit both."""
         at = self.at
         if self.usable and at.stage.iteration == 0:
             self.at = at.holding(at.choice.of_small(self.terms, at.fitted))

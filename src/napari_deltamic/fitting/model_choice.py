@@ -30,7 +30,7 @@ from .surface.collisions import CollisionGuard
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """Which structure and which densities a fit goes on with; it writes into nobody.
+    """Chooses the structure and densities that a fit goes on with; changes no other object.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class ModelChoice:
     def _at_rest(
         terms: Terms, objective: Objective, fitted: Fitted, factored: Preconditioners
     ) -> tuple[Fitted, int]:
-        """With what shines at rest, and evaluations; itself where that is what did on the way."""
+        """The fit with what shines at rest, or the same object; and the evaluations taken."""
         found = objective.structure()
         if found.structure != "both":
             return fitted.with_structure(found.structure), 0
@@ -220,7 +220,7 @@ class ModelChoice:
         return found, taken, False
 
     def anew(self, fitted: Fitted) -> Fitted:
-        """With all that may shine, for other settings; of small cells, what was found stays."""
+        """The same with all that may shine, for other settings; small cells keep what was found."""
         asked, known = self.settings.structure, fitted.structure != "both"
         if asked == "auto" and known and all_small(fitted.mesh, fitted.optics):
             return fitted

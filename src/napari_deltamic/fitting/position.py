@@ -43,7 +43,7 @@ class Position:
 
     @property
     def choice(self) -> ModelChoice:
-        """Which structure and densities are fitted here."""
+        """The choice of structure and densities here."""
         return ModelChoice(self.settings, len(self.levels))
 
     @property
@@ -62,7 +62,7 @@ class Position:
         return self.settings.tolerance * min(self.fitted.optics.sigma_um)
 
     def holding(self, fitted: Fitted) -> Position:
-        """With this in place of what is fitted."""
+        """The same position with this fit."""
         return replace(self, fitted=fitted)
 
     def spent(self, evaluations: int) -> Position:

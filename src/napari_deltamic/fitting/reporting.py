@@ -27,7 +27,7 @@ class Reporter:
         self._events: tuple[str, ...] = ()
 
     def say(self, *remarks: str) -> None:
-        """With the next state."""
+        """Tell this with the next state."""
         self._remarks += tuple(filter(None, remarks))
 
     def happened(self, events: tuple[str, ...]) -> None:

@@ -154,7 +154,7 @@ class Run:
         return is_given_up(self, self._former)
 
     def _told(self, state: FitState, ends: bool, finished: bool) -> FitState:
-        """With what there is to say, and with a verdict where it is the last."""
+        """The state with its messages, and with a verdict if it is the last."""
         at, reporter = self._level.at, self._context.reporter
         reporter.say(self._context.upkeep.guard.remark())
         message, events = reporter.told(at.fitted.mesh, at.stage.iteration, ends)
@@ -237,7 +237,7 @@ class Run:
     # -------------------------------------------------------------------------- checkpoints
 
     def checkpoint(self) -> Checkpoint:
-        """To go on from here."""
+        """A checkpoint from which the fit can go on."""
         at, upkeep = self._level.at, self._context.upkeep
         return Checkpoint(
             self._start,

@@ -54,11 +54,11 @@ class SceneUnknowns:
         self.psf = slice(self._moving + sum(self._lights), None)
 
     def start(self) -> FloatArray:
-        """Those of the scene that was given."""
+        """The unknowns of the given scene."""
         return np.concatenate([np.zeros(self.psf.start), self.imaging.numbers()[0]])
 
     def bounds(self, x: FloatArray) -> list[tuple[float, float]]:
-        """Of a round that begins there."""
+        """Bounds of a round that begins there."""
         reach = np.zeros(len(x))
         reach[: self._moving] = _REACH
         reach[self._moving : self.psf.start] = _REACH * self._fit_brightness
@@ -100,7 +100,7 @@ def _places(structure: Structure) -> FloatArray:
 
 
 def _changed(structure: Structure, places: FloatArray, light: FloatArray) -> Structure:
-    """At other places, if it moves, and of another brightness (P,) or (1,)."""
+    """The structure at other places, if it moves, and with another brightness, (P,) or (1,)."""
     if isinstance(structure, Points):
         return Points(places, to_numpy(structure.weight) * light)
     factor = float(light[0])

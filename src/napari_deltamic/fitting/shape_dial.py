@@ -145,7 +145,7 @@ class Situation:
 
     @classmethod
     def of(cls, mesh: Mesh, grid: Grid, sigma: tuple[float, ...], noise: float) -> Situation:
-        """Of a start and an image with this noise ratio."""
+        """The situation of a start, and of an image with this noise ratio."""
         sizes = np.abs([v for v in mesh.volumes().values() if np.isfinite(v)])
         volume = float(np.median(sizes)) if len(sizes) and np.median(sizes) > 0 else np.inf
         voxel = geometric_mean(grid.voxel_size)

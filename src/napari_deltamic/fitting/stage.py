@@ -62,7 +62,7 @@ class Stage:
         return replace(self, evaluations=self.evaluations + evaluations)
 
     def begun_anew(self, blurred_for: Optics) -> Stage:
-        """At the first level again; counts go on."""
+        """The first level again; counts go on."""
         return Stage(
             0,
             blurred_for,

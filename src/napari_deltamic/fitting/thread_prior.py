@@ -52,7 +52,7 @@ class ThreadPrior:
 
     @classmethod
     def of(cls, vertices: FloatArray, segments: np.ndarray, persistence: float) -> ThreadPrior:
-        """For a filament as it is at the start."""
+        """The prior of a filament as it is at the start."""
         meeting: dict[int, list[tuple[int, int]]] = {}
         for number, (a, b) in enumerate(segments.tolist()):
             meeting.setdefault(a, []).append((number, b))

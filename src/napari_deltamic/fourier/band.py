@@ -164,7 +164,7 @@ class Band:
 
     @cached_property
     def _inverse(self) -> dict[tuple[int, int, int], RealFFT]:
-        """By the shape of the image."""
+        """Inverse transforms by the shape of the image."""
         return {}
 
 

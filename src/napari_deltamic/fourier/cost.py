@@ -57,7 +57,7 @@ class Rates:
     pixels: float
 
     def seconds(self, work: Work) -> float:
-        """Of one call that does this work."""
+        """Seconds of one call that does this work."""
         return self.call + float(np.dot(astuple(self)[1:], astuple(work)))
 
 
@@ -92,13 +92,13 @@ class Costs:
     measured: bool = False
 
     def rates(self, single: bool, gradient: bool) -> Rates:
-        """For a precision, forward only or with the gradient."""
+        """Rates for a precision, forward only or with the gradient."""
         if single:
             return self.single_gradient if gradient else self.single_forward
         return self.double_gradient if gradient else self.double_forward
 
     def seconds(self, work: Work, single: bool, gradient: bool = True) -> float:
-        """Of one rendering, with its gradient or without."""
+        """Seconds of one rendering, with its gradient or without."""
         return self.rates(single, gradient).seconds(work)
 
 
@@ -145,7 +145,7 @@ def count_work(
 
 
 def _image_pixels(band: Band, shape: tuple[int, int, int]) -> float:
-    """Of the three passes of `Band.to_image`."""
+    """Work of the three passes of `Band.to_image`."""
     n, (_, ny, nx) = band.fft_shape, band.box_shape
     passes = (
         (n[0] * ny * nx, n[0]),

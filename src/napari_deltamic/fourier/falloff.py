@@ -45,7 +45,7 @@ POINT_LIKE = Falloff()
 
 
 def of_surface(area: float, volume: float) -> Falloff:
-    """Of a surface around a volume: ``2 pi / (area xi^2)``; all in widths of the PSF."""
+    """Falloff of a surface around a volume: ``2 pi / (area xi^2)``; all in widths of the PSF."""
     if 2 * volume <= 1.5 * area:
         return POINT_LIKE
     # Rounded, to the safe side, so that the tables of one mesh serve its neighbours.
@@ -53,7 +53,7 @@ def of_surface(area: float, volume: float) -> Falloff:
 
 
 def of_solid(area: float, volume: float) -> Falloff:
-    """Of what a surface holds, in widths of the PSF: ``2 pi area / xi^4`` far out.
+    """Falloff of a solid, in widths of the PSF: ``2 pi area / xi^4`` far out.
 
     It turns where the sum over all wavevectors is that of the volume (Parseval), at ``4 area / (3
     pi volume)``; thinner than the PSF, a solid is seen as the surface is.

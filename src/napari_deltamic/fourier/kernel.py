@@ -134,7 +134,7 @@ def _in_t(powers_of_f: np.ndarray) -> np.ndarray:
 
 
 def window_transform(cycles: np.ndarray, width: int, beta: np.ndarray | float) -> np.ndarray:
-    """Of the window, but for a constant: ``i_2(y) / y^2``, ``y^2 = beta^2 - (pi W k)^2``."""
+    """Transform of the window up to a constant: ``i_2(y) / y^2``, ``y^2 = beta^2 - (pi W k)^2``."""
     squared = np.asarray(beta) ** 2 - (pi * width * cycles) ** 2
     y = np.sqrt(np.abs(squared))
     safe = np.maximum(y, 0.3)
@@ -190,7 +190,7 @@ def rounding_error(
 def beta_for(
     width: int, nodes: int, weights: AxisWeights, error: float, unit: float
 ) -> float | None:
-    """Of the kernel of this width that leaves least; None where it leaves more than ``error``.
+    """Beta of the best kernel of this width; None if its error is above ``error``.
 
     ``unit`` is the rounding error of a number.
     """
@@ -210,7 +210,7 @@ def beta_for(
 def polynomials_for(
     width: int, beta: float, nodes: int, weights: AxisWeights, error: float
 ) -> Kernel:
-    """Those of the lowest degree that keep to ``error``, aliases of the fit included."""
+    """Polynomials of the lowest degree that keep to ``error``, aliases of the fit included."""
     best: tuple[float, Kernel] | None = None
     for degree in range(3, _HIGHEST + 1):
         kernel = fitted(width, beta, degree)

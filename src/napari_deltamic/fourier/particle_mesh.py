@@ -200,7 +200,7 @@ def field_of(
 
 
 def _kernels(device: torch.device, single: bool) -> Kernels[PointBuild] | None:
-    """Those of an NVIDIA GPU; None on other devices, where torch's operations do it."""
+    """Kernels of an NVIDIA GPU; None on other devices, which use torch's operations."""
     return point_kernels(device, single) if device.type == "cuda" else None
 
 

@@ -293,7 +293,7 @@ def choose_band(
 
 
 def _falloff(vertices: np.ndarray, faces: np.ndarray, contrast: np.ndarray | None) -> Falloff:
-    """Of faces, or of what they hold; vertices in widths of the PSF."""
+    """Falloff of faces, or of the solid within; vertices in widths of the PSF."""
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = float(np.linalg.norm(normal, axis=1).sum() / 2)

@@ -37,7 +37,7 @@ class Listed:
 
     @property
     def count(self) -> int:
-        """Of the points."""
+        """Number of points."""
         return len(self.element)
 
 
@@ -59,12 +59,12 @@ class Points:
 
     @cached_property
     def count(self) -> int:
-        """Of all points."""
+        """Number of all points."""
         return sum(len(r.weights) * len(of) for r, of in self.rules)
 
     @cached_property
     def compiled(self) -> Any:
-        """As the compiled loops take them."""
+        """The points as compiled loops take them."""
         module = native()
         assert module is not None
         rule = np.zeros(self.elements, np.int32)
@@ -126,6 +126,6 @@ class Points:
 
 
 def placed(values: np.ndarray, real: torch.dtype, device: torch.device) -> Tensor:
-    """On a device that may know no double precision."""
+    """Values on a device that may know no double precision."""
     kind = np.float32 if real == torch.float32 else np.float64
     return torch.from_numpy(values.astype(kind)).to(device)

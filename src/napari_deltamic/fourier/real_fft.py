@@ -51,7 +51,7 @@ class RealFFT:
 
     @property
     def box_shape(self) -> Triple:
-        """Of the box."""
+        """Shape of the box."""
         return 2 * self.half[0] + 1, 2 * self.half[1] + 1, self.half[2] + 1
 
     def to_box(self, real: Tensor, weights: Tensor | None = None) -> Tensor:

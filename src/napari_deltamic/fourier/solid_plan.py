@@ -65,7 +65,7 @@ class SolidPlan:
         contrast: np.ndarray,
         stretch: float = 1.0,
     ) -> SolidPlan:
-        """For a mesh and what becomes of it.
+        """A plan for a mesh and for what becomes of it.
 
         Whether it is thin is told by the brightness given: thin cells that become far brighter than
         thick ones are less accurate than the plan says.
@@ -96,7 +96,7 @@ class SolidPlan:
         return cls(plan, low, _flux(plan, corners, edges, contrast), (near, spreading))
 
     def points_of(self, contrast: Tensor) -> tuple[Points, Points]:
-        """Of the flux and of the shells: walls between regions that shine alike show nothing."""
+        """Points of flux and shells; walls between regions that shine alike have none."""
         assert self.flux is not None
         assert self.shells is not None
         every = self.flux[0], self.shells[0]

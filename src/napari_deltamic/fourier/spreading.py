@@ -93,14 +93,14 @@ class Spreading:
         return self._placed[key][0]
 
     def coefficients(self, real: torch.dtype, device: torch.device) -> list[Tensor]:
-        """Of the kernels, (degree + 1, width) along each axis."""
+        """Coefficients of the kernels, (degree + 1, width) along each axis."""
         key = "coefficients", real, device
         if key not in self._placed:
             self._placed[key] = [placed(k.coefficients, real, device) for k in self.kernels]
         return self._placed[key]
 
     def joined_coefficients(self, real: torch.dtype, device: torch.device) -> Tensor:
-        """Those of the three axes, one after the other."""
+        """Coefficients of the three axes, one after the other."""
         key = "joined", real, device
         if key not in self._placed:
             every = self.coefficients(real, device)
@@ -334,7 +334,7 @@ def _seconds(choice: tuple[tuple[int, tuple[int, float]], ...], points: int) -> 
 
 
 def _lanes_cost(widest: int) -> float:
-    """Of a row, against one of 8 nodes."""
+    """Cost of a row, relative to one of 8 nodes."""
     return 1.0 if widest <= 8 else 1.6
 
 

@@ -107,7 +107,7 @@ def _solid(image: NDArray[Any], value: Any) -> bool:
 
 
 def _values_of_slices(image: NDArray[Any]) -> list[Any]:
-    """Of slices along Z that have a single one."""
+    """Values of slices along Z that have a single one."""
     few = image[:, ::_SOME, ::_SOME]  # they rule most out
     flat = (few == few[:, :1, :1]).all((1, 2))
     found = [k for k in np.flatnonzero(flat) if (image[k] == image[k, 0, 0]).all()]

@@ -131,7 +131,7 @@ def _of_one(stored: Stored) -> ImageSeries:
 
 
 def _native(stored: NDArray[Any]) -> NDArray[Any]:
-    """In the byte order of this machine."""
+    """The array in the byte order of this machine."""
     return stored.astype(stored.dtype.newbyteorder("="), copy=False)
 
 

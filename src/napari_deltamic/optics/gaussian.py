@@ -128,7 +128,7 @@ class GaussianPSF:
         return self.with_parameters(p)
 
     def widened(self, by: float) -> GaussianPSF:
-        """With a variance that is larger by the square of ``by`` (um)."""
+        """The PSF with a variance larger by the square of ``by`` (um)."""
         covariance = self.covariance.detach() + by**2 * torch.eye(3, dtype=torch.float64)
         if self.diagonal:
             return GaussianPSF(covariance.diagonal().sqrt())

@@ -88,7 +88,7 @@ class MeasuredPSF(ParametricPSF):
         return (torch.arange(n, dtype=torch.float64) - self._centre[axis]) * self.voxel_size[axis]
 
     def _transform(self, axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """Of the prepared stack, at 1D wavevector components."""
+        """Transform of the prepared stack at 1D wavevector components."""
         found = self._held.to(torch.complex128)
         for axis in (2, 1, 0):
             wave = torch.exp(-1j * self._positions(axis)[:, None] * axes[axis])
@@ -284,7 +284,7 @@ def _cropped(smooth: NDArray[np.float64], peak: tuple, half: list[int], noise: f
 
 
 def _centroid(held: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Of the bright core: what is above half of the peak, smoothly weighted."""
+    """Centroid of the bright core: what is above half of the peak, smoothly weighted."""
     smooth = gaussian_filter(held, 0.7)
     weight = (smooth - 0.4 * smooth.max()).clip(0)
     grid = np.indices(held.shape)

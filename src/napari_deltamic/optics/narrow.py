@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class NarrowRules:
-    """Which PSFs are too narrow.
+    """When a PSF is too narrow.
 
     Attributes
     ----------

@@ -25,11 +25,11 @@ class Forming(Protocol):
 
     @property
     def grid(self) -> Grid:
-        """Of the image."""
+        """The grid of the image."""
 
     @property
     def frame(self) -> Grid:
-        """Of the whole image, to which effects refer."""
+        """The grid of the whole image, to which effects refer."""
 
     def rendered(self, renderer: Renderer, transform: Tensor, otf: Tensor) -> Tensor:
         """Image (Z, Y, X)."""

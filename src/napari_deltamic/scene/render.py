@@ -115,7 +115,7 @@ class Renderer:
 
     @property
     def plan(self) -> Plan:
-        """Of the mesh."""
+        """The plan of the mesh."""
         return next(p.plan for p in self._planned if isinstance(p.plan, Plan))
 
     def with_effects(self, effects: Effects) -> Renderer:
@@ -179,7 +179,7 @@ class Renderer:
     def part(
         self, number: int, positions: Tensor | None = None, density: Tensor | None = None
     ) -> Tensor:
-        """As :meth:`transform`, of one structure alone, whichever it is.
+        """Like :meth:`transform`, for one structure alone, of any kind.
 
         Parameters
         ----------
@@ -196,7 +196,7 @@ class Renderer:
         return _widened(box, planned.plan.band, self.band)
 
     def _held(self, box: Tensor) -> Tensor:
-        """On the device of the image, in a type that it holds."""
+        """The box on the device of the image, in a type that the device knows."""
         if self.device.type == "mps":
             box = box.to(torch.complex64 if box.is_complex() else torch.float32)
         return box.to(self.device)
@@ -213,7 +213,7 @@ class Renderer:
         return otf
 
     def _axes_for(self, optics: Optics) -> tuple[Tensor, Tensor, Tensor]:
-        """On the device where a formula is all that is computed; else on the CPU."""
+        """Axes on the device if the OTF is a mere formula; else on the CPU."""
         z, y, x = self._axes
         if not isinstance(optics, GaussianPSF) or self.effects.present():
             return z, y, x

@@ -63,7 +63,7 @@ class Scene:
 
     @property
     def mesh(self) -> Mesh:
-        """Of the first of its surfaces."""
+        """The mesh of its first surface."""
         return self.surface.mesh
 
     def with_surface(self, mesh: Mesh, density: Values = 1.0) -> Self:

@@ -67,7 +67,7 @@ class Fitted:
         model: DensityModel,
         structure: StructureChoice = "membrane",
     ) -> Fitted:
-        """At the start."""
+        """Everything as it is at the start."""
         held = optics.detach()
         found = cls(Shape.begun(mesh, model), held, effects, held, effects)
         return found.with_structure(may_shine(structure, mesh, held))
@@ -99,31 +99,31 @@ class Fitted:
         return replace(self, shape=shape, optics=optics, effects=effects)
 
     def retriangulated(self, shape: Shape) -> Fitted:
-        """With another triangulation: the one door for it. What was learnt is of other unknowns."""
+        """The same with another triangulation; what was learnt belonged to other unknowns."""
         return replace(self, shape=shape, learnt=None)
 
     def displaced(self, vertices: FloatArray, optics: Optics) -> Fitted:
-        """At (V, 3) um, through another PSF of that kind, as if nothing of brightness was known."""
+        """The surface at (V, 3) um and another PSF of that kind; brightness is forgotten."""
         return replace(self, shape=self.shape.moved(vertices, None), optics=optics, learnt=None)
 
     def with_density(self, model: DensityModel) -> Fitted:
-        """With the same densities of another kind."""
+        """The same densities, modelled in another way."""
         return replace(self, shape=self.shape.with_model(model), learnt=None)
 
     def with_nuclei(self, dimmed: NDArray[np.float32]) -> Fitted:
-        """With nuclei that dim insides: (Z, Y, X), see the attribute."""
+        """The same with nuclei that dim the insides; (Z, Y, X), see the attribute."""
         return replace(self, dimmed=dimmed)
 
     def shining(self, light: Light) -> Fitted:
-        """With the light that is found there."""
+        """The same with this light."""
         return replace(self, light=light)
 
     def taught(self, learnt: Learnt | None) -> Fitted:
-        """With what the optimiser knows now."""
+        """The same with what the optimiser knows now."""
         return replace(self, learnt=learnt)
 
     def changed(self, change: Change, model: DensityModel) -> Fitted:
-        """From outside; the past says nothing about it."""
+        """The same after a change from outside, of which the optimiser knows nothing."""
         shape = self.shape
         if change.mesh is not None:
             shape = _replaced(shape, change.mesh)
@@ -159,7 +159,7 @@ class Fitted:
         }
 
     def _surface_loaded(self, found: Arrays) -> Fitted:
-        """With surface, pins and PSF of :meth:`saved`."""
+        """The same with the surface, pins and PSF that :meth:`saved` wrote."""
         if found["optics"].shape != tuple(self.optics.parameters().shape):
             raise other_settings()
         mesh = Mesh(found["vertices"], found["faces"], found["regions"])
@@ -172,7 +172,7 @@ class Fitted:
     def loaded(
         self, found: Arrays, effects: Effects, first: Effects, density_known: bool
     ) -> Fitted:
-        """With all of :meth:`saved`.
+        """The same with everything that :meth:`saved` wrote.
 
         Raises
         ------

@@ -202,7 +202,7 @@ def _moments(columns: Sequence[Tensor], weights: Tensor, tiny: float) -> tuple[T
 
 
 def centred_products(columns: Sequence[Tensor], weights: Tensor) -> FloatArray:
-    """As :func:`products`, of columns less their weighted means."""
+    """Like :func:`products`, after the weighted means of columns are subtracted."""
     if len(weights) and compiled(weights.device):
         # In double precision, a mean of a thousand deviations costs six of sixteen digits.
         found: FloatArray = compiled_products([*columns, torch.ones_like(weights)], weights)
@@ -259,7 +259,7 @@ def match(rendered: Tensor, measured: Tensor, weights: Tensor) -> tuple[Tensor, 
 def explained(
     image: Tensor, index: Tensor, measured: Tensor, weights: Tensor
 ) -> tuple[Tensor, Match]:
-    """As :func:`match`, of some voxels of a rendered image; compiled where that can be had.
+    """Like :func:`match`, for some voxels of a rendered image; compiled where possible.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def is_sharpened(left: FloatArray, sigma: Sequence[float], voxel_size: Sequence[
 
 
 def _far_over_near(left: FloatArray) -> dict[int, float]:
-    """Of second differences, by axis: their medians over three voxels and over one."""
+    """By axis: medians of second differences over three voxels, over those over one."""
     found = {}
     for axis in np.flatnonzero(np.array(left.shape) >= RULES.long_enough):
         rows = np.moveaxis(left, axis, -1)[:: max(1, -(-left.size // RULES.most))]

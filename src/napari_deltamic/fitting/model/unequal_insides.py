@@ -63,7 +63,7 @@ class Insides:
 
     @classmethod
     def of(cls, mesh: Mesh, model: DensityModel, structure: Structure, blurred: bool) -> Insides:
-        """Of a mesh of which that shines.
+        """The insides of a mesh, where they shine.
 
         Alike where densities are to be the same everywhere, and at blurred levels where cells share
         walls: nuclei do not, and in clusters of membranes insides would stand in for missing walls.

@@ -161,7 +161,7 @@ UNKNOWN = 0.0, np.inf  # what is said of a variation of which an image tells not
 def variation(
     cells: Cells, image: np.ndarray, background: float, counted: np.ndarray
 ) -> tuple[float, float]:
-    """By how much of itself brightness varies deep inside of cells: at least, and at most.
+    """Relative variation of brightness deep inside cells: the least and the most it can be.
 
     Of means over places as large as the PSF, around the mean of each cell. What noise makes of it
     is taken off, and two standard errors are taken off or added. Of cells that are too small, or no

@@ -213,7 +213,7 @@ def _read(
     deep: NDArray[np.bool_],
     widths: FloatArray,
 ) -> _Read | None:
-    """From these voxels; arguments as for :func:`unevenness`. None if there are none."""
+    """What these voxels tell; arguments as for :func:`unevenness`. None if there are none."""
     if not deep.any():
         return None
     size = RULES.width * widths

@@ -166,7 +166,7 @@ class Objective:
 
     @property
     def left(self) -> float:
-        """As :attr:`Posed.left`, where the descent is."""
+        """Like :attr:`Posed.left`, where the descent is."""
         return squares_left(self.now.match, self.posed.posterior.views[0].voxels)
 
     @property
@@ -264,7 +264,7 @@ class Objective:
         return bool(shares) and median(shares) < DEEP.shown
 
     def deep_brightness(self) -> float | None:
-        """Of the median cell, see :func:`~.deep_insides.deep_brightness`; None where unknown."""
+        """The median over cells of :func:`~.deep_insides.deep_brightness`; None where unknown."""
         counted = self.terms.level.counted.cpu().numpy()
         found = deep_brightness(self._cells(), self._seen().detach().cpu().numpy(), counted)
         return median(found.values()) if found else None
@@ -273,7 +273,7 @@ class Objective:
         return Cells(self.fitted.mesh, self.fitted.optics, self.terms.level.grid)
 
     def insides_vary(self) -> tuple[float, float]:
-        """By how much brightness deep inside varies, of the peak of a membrane's image.
+        """Variation of brightness deep inside, relative to the peak of a membrane's image.
 
         At least, and at most; where few voxels are deep enough, or some were cut: ``UNKNOWN``.
         """

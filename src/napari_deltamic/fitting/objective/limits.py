@@ -37,7 +37,7 @@ class Limits:
     guard: CollisionGuard | None = None
 
     def within(self, start: Variables, end: Variables) -> Variables:
-        """As near to the end as a step from the start may lead."""
+        """The point nearest to the end that a step from the start may reach."""
         away = end.vertices - self.around
         far = lengths(away)[:, None] / self.farthest
         vertices = self.around + away / np.maximum(far, 1.0)

@@ -87,7 +87,7 @@ class Look:
     def voxels(
         self, at: Variables, light: Light | None = None, level: Level | None = None
     ) -> tuple[Voxels, Light]:
-        """Those that count, and what shines, where it is not told."""
+        """The voxels that count, and what shines, unless it is given."""
         membranes = self.rendered(at, MEMBRANES, level=level)
 
         def plain(effects: Effects) -> Tensor:
@@ -153,7 +153,7 @@ class Look:
         rendered: Tensor,
         smoother: Preconditioner,
     ) -> Variables:
-        """With the brightness of the image where the surface lies."""
+        """Unknowns whose density is the brightness of the image where the surface lies."""
         found = self.found(voxels, rendered)
         inside = self.rendered(at, replace(light, membrane=0.0)) if light.interior else None
         ratio = self.level.brightness(at.vertices, rendered, found, self.imaging.effects, inside)
@@ -168,7 +168,7 @@ class Look:
         found: Match,
         given: Tensor,
     ) -> Voxels:
-        """With insides as even as they are modelled, where the image says that they are not.
+        """Voxels corrected for insides that are uneven in the image but even in the model.
 
         rendered : (Z, Y, X) of that light. given : (N,) weights before cut voxels were completed.
         """
@@ -223,7 +223,7 @@ class Look:
         return image
 
     def completed(self, voxels: Voxels, rendered: Tensor) -> Voxels:
-        """With what is known of voxels that were cut, and without light of other objects."""
+        """Voxels corrected for saturation and for the light of other objects."""
         voxels = self._uncut(voxels, rendered)
         level, found = self.level, self.found(voxels, rendered)
         # How bright saturated cells are is a guess, and so is the residual around them: when the
@@ -242,7 +242,7 @@ class Look:
         return replace(voxels, measured=voxels.measured - here.reshape(-1)[voxels.index])
 
     def _uncut(self, voxels: Voxels, rendered: Tensor) -> Voxels:
-        """With what is known of voxels that were cut (:mod:`.saturation`)."""
+        """Voxels corrected for saturation (:mod:`.saturation`)."""
         cut, given = self.level.cut, voxels
         if cut is None or not bool((voxels.measured >= cut).any()):
             return voxels
@@ -284,7 +284,7 @@ class Look:
         return self.view(voxels, rendered, found, tempered, level)
 
     def firmness(self, voxels: Voxels, rendered: Tensor, found: Match, light: Light) -> float:
-        """Of a flat surface, before it is divided by the variance.
+        """How firmly the image holds a flat surface, before it is divided by the variance.
 
         A membrane of amplitude a has the image a v g(n), with v the volume that a voxel of the
         rendering stands for and g a Gaussian of width s along its normal: the squares of its
@@ -303,5 +303,5 @@ class Look:
 
 
 def _single(image: Tensor) -> Image:
-    """On the CPU, in single precision: whole images, of which doubles take gigabytes."""
+    """The image on the CPU, in single precision: in double, whole images take gigabytes."""
     return image.detach().cpu().numpy().astype(np.float32, copy=False)

@@ -121,7 +121,7 @@ def pose(
 
 
 def _begun(level: Level, fitted: Fitted, density: Density, imaging: Imaging) -> _Stand:
-    """Which voxels count, and what shines."""
+    """Find the voxels that count, and what shines."""
     shape, structure, shone = fitted.shape, fitted.structure, fitted.light
     known = shape.log_density
     log = np.zeros(len(density)) if known is None else density.centred(known)
@@ -143,7 +143,7 @@ def _begun(level: Level, fitted: Fitted, density: Density, imaging: Imaging) -> 
 
 
 def _with_density(stand: _Stand) -> _Stand:
-    """With a smooth density that is as bright as the image where the surface lies."""
+    """The same with a smooth density, as bright as the image where the surface lies."""
     look, light = stand.look, stand.light
     if look.density.model != "smooth" or not light.membrane:
         return stand
@@ -168,7 +168,7 @@ def _view(stand: _Stand, voxels: Voxels, tempered: bool) -> View:
 
 
 def _evened(stand: _Stand, whole: Voxels, fitted: Fitted) -> Voxels:
-    """Voxels whose insides are as even as they are modelled."""
+    """The voxels, corrected for uneven insides."""
     look, rendered = stand.look, stand.rendered()
     if look.level.factor != 1 or look.density.model == "uniform" or fitted.light.interior <= 0:
         return whole

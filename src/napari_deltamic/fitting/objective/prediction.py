@@ -168,7 +168,7 @@ class Prediction:
         return self._kept[1]
 
     def _otf(self, view: View, renderer: Renderer, optics: Optics) -> Tensor:
-        """Of the view's own PSF, or of the fit's."""
+        """The OTF of the view's own PSF, or of the fit's."""
         return renderer.otf(optics if view.optics is None else view.optics)
 
     def _shining(self, renderer: Renderer, at: Unknowns, otf: Tensor) -> _Shining:
@@ -362,7 +362,7 @@ def _stacked(columns: Sequence[Tensor], rows: int) -> FloatArray:
 
 
 def as_floats(values: Tensor | None) -> FloatArray:
-    """In double precision on the CPU; empty where there are none."""
+    """Values in double precision on the CPU; an empty array for None."""
     if values is None:
         return np.zeros(0)
     return values.detach().cpu().numpy().astype(np.float64)

@@ -167,7 +167,7 @@ def told(
     now: Evaluation,
     mesh: Mesh,
 ) -> tuple[Told, Told]:
-    """Of membranes and of insides; now : the evaluation there.
+    """What the image tells of membranes and of insides; now : the evaluation there.
 
     Of membranes that are equally bright: those that the fit has made bright where that explains
     noise would differ from 0 by fifteen errors in an image of nuclei alone.
@@ -189,7 +189,7 @@ def told(
 
 
 def _told(table: FloatArray, patch: FloatArray, block: np.ndarray, which: int) -> Told:
-    """Of one of the amplitudes.
+    """What the image tells of one amplitude.
 
     table : (K + 1, N) weighted columns, the last one what was measured; it is overwritten.
     patch, block : (N,).

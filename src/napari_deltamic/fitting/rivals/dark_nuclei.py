@@ -120,7 +120,7 @@ class _Cells:
         return 2 * layer / max(float(areas[both].sum()), 1e-300)
 
     def share(self, mesh: Mesh) -> float:
-        """Of cells that have a nucleus, the share of their volume that it is."""
+        """Share of the volume of cells with a nucleus that their nuclei fill."""
         volumes = mesh.volumes()
         held, around = (
             sum(volumes[k] for k in regions) for regions in (self.nuclei.values(), self.nuclei)
@@ -128,7 +128,7 @@ class _Cells:
         return held / max(held + around, 1e-300)
 
     def brightness(self, light: Light) -> float:
-        """Of the median nucleus, over that of the cytoplasm around it."""
+        """Brightness of nuclei over that of the cytoplasm around them, in the median."""
         known = dict(light.cells)
         cells = ((known.get(n, 1.0), known.get(cell, 1.0)) for cell, n in self.nuclei.items())
         return median(inner / max(around, 1e-300) for inner, around in cells)
@@ -141,7 +141,7 @@ class _Cells:
         return Mesh(mesh.vertices_numpy()[used], faces.reshape(-1, 3), regions[kept])
 
     def filled(self, light: Light) -> Light:
-        """With nuclei as bright as the cytoplasm around them."""
+        """The light if nuclei were as bright as the cytoplasm around them."""
         known = dict(light.cells)
         cells = {k: known.get(int(self._cells_of(np.array(k))), 1.0) for k in known}
         return replace(light, cells=tuple(cells.items()))

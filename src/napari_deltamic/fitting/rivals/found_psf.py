@@ -20,7 +20,7 @@ def values_of(optics: Optics) -> dict[str, Any] | None:
 
 
 def psf_from(values: dict[str, Any]) -> FoundPSF:
-    """From :func:`values_of`."""
+    """The PSF that :func:`values_of` wrote."""
     values = dict(values)
     fitted = values.pop("fitted")
     if "mass2" in values:
@@ -54,7 +54,7 @@ def settings_of(optics: Optics) -> MicroscopeOptics | MixtureOptics | None:
 
 
 def _widths_and_masses(values: dict[str, Any]) -> tuple[tuple[Triple, ...], tuple[float, ...]]:
-    """Of each Gaussian of a mixture."""
+    """Widths and masses of the Gaussians of a mixture."""
     count = 1 + sum(name.startswith("mass") for name in values)
     widths = tuple(
         (values[f"sigma{n}_z"], values[f"sigma{n}_y"], values[f"sigma{n}_x"])

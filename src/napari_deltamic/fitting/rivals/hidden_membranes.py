@@ -38,7 +38,7 @@ from .small_cells import other_alone
 
 @dataclass(frozen=True)
 class HiddenRules:
-    """From where both are tried beside insides alone, and how long.
+    """Where trials of both begin beside insides alone, and how long they run.
 
     Attributes
     ----------

@@ -45,7 +45,7 @@ GOES_ON = "the image shows a confocal light cone: the fit continues with a confo
 
 @dataclass(frozen=True)
 class LightConeRules:
-    """Which images are asked, and when to give up.
+    """When an objective's PSF is tried, and when the trial is given up.
 
     Attributes
     ----------
@@ -272,7 +272,7 @@ def _is_default(sigma: Sequence[float], voxel_size: Sequence[float]) -> bool:
 
 
 def _roundness(sigma: Sequence[float]) -> float:
-    """Of a PSF of an objective: the tangent of half the angle of its cone.
+    """Tangent of half the angle of the cone of an objective with such a PSF.
 
     With NA = n sin(a), width across over width along grows as sin(a) / (1 + cos(a)) = tan(a / 2).
     """

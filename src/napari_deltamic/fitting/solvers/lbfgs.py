@@ -115,7 +115,7 @@ class Memory:
 
 
 def dot(one: np.ndarray, other: np.ndarray) -> float:
-    """Of vectors (n,), in double precision and to the same bits on every number of threads.
+    """Dot product of (n,) in double precision; the same bits for any number of threads.
 
     Libraries of linear algebra cut long ones where threads meet.
     """

@@ -86,7 +86,7 @@ class Preconditioner:
 
 
 class Preconditioners:
-    """Those of the present triangles, each made once."""
+    """The preconditioners of the present triangles, each made once."""
 
     def __init__(self) -> None:
         self._faces = np.zeros((0, 3), np.int64)

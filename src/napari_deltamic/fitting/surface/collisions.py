@@ -97,7 +97,7 @@ class CollisionGuard:
         return CrossingWalls(mesh).regions <= self._crossing.regions
 
     def limited(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-        """As near to the end as each vertex may go from the start.
+        """The point nearest to the end that each vertex may reach from the start.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ def _longest_edges(mesh: Mesh) -> np.ndarray:
 
 
 def _sentence(regions: set[tuple[int, ...]]) -> str:
-    """Which regions cross, for the user."""
+    """Tell the user which regions cross."""
     alone = ", ".join(str(r[0]) for r in sorted(regions) if len(r) == 1)
     pairs = ", ".join(f"{r[0]} and {r[1]}" for r in sorted(regions) if len(r) == 2)
     parts = [f"the surface of region {alone} crosses itself"] if alone else []

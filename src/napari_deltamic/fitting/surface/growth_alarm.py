@@ -70,7 +70,7 @@ class GrowthAlarm:
         )
 
     def _growth(self, mesh: Mesh) -> dict[int, tuple[float, float]]:
-        """Of each region: growth of its area, and of its typical face."""
+        """By region: growth of its area, and of its typical face."""
         areas, found = mesh.areas(), {}
         for region, rows in mesh.faces_by_region().items():
             own = rows[self._start[rows] > 0]

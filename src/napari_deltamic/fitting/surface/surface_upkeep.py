@@ -72,7 +72,7 @@ class SurfaceUpkeep:
         return self._topology.look(fitted, settings, factor, iteration)
 
     def remeshed(self, fitted: Fitted, settings: FitSettings) -> Fitted:
-        """With good triangles again."""
+        """The same with good triangles."""
         if not (settings.remesh and self._remeshing.wanted(fitted.mesh, settings.flatness)):
             return fitted
         after = self._remeshing.of_shape(

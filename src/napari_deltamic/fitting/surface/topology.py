@@ -206,7 +206,7 @@ class TopologyPolicy:
     def worth_a_trial(
         self, candidates: Sequence[ThinPlace], shape: Shape, width: float
     ) -> list[ThinPlace]:
-        """Those of the candidates that are tried now: none near another."""
+        """The candidates that are tried now, none near another."""
         edge, chosen = shape.mesh.median_edge(), list[int]()
         free = self._free(shape, candidates, self.futile)
         near = _near(free, free, RULES.alone * width)
@@ -259,7 +259,7 @@ class TopologyPolicy:
     def _free(
         self, shape: Shape, places: Sequence[ThinPlace], given_up: Sequence[ThinPlace]
     ) -> list[ThinPlace]:
-        """Those that are neither pinned nor known to stay."""
+        """The places that are neither pinned nor known to stay."""
         reach = RULES.same * shape.mesh.median_edge()
         pins = cKDTree(shape.mesh.vertices_numpy()[shape.pinned])
         stay = (*self.left_alone, *given_up)

@@ -35,7 +35,7 @@ class Directions:
 
     @classmethod
     def of(cls, mesh: Mesh, vertices: FloatArray) -> Directions:
-        """Of a mesh with its vertices there (V, 3)."""
+        """The directions of a mesh whose vertices are at (V, 3)."""
         normals = vertex_normals(vertices, mesh.faces)
         own: list[FloatArray] = [normal[None] for normal in normals]
         for number, across in _at_junctions(mesh, vertices).items():

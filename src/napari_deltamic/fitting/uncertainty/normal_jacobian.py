@@ -130,7 +130,7 @@ def widest_psf(posterior: Posterior) -> FloatArray:
 
 
 def _seen(grid: Grid, index: IntArray, widths: FloatArray, colouring: Colouring) -> list[IntArray]:
-    """Of each direction: rows of the voxels that see its vertex."""
+    """For each direction, rows of the voxels that see its vertex."""
     at = np.stack(np.unravel_index(index, grid.shape), 1)
     centres = (at * np.asarray(grid.voxel_size) + np.asarray(grid.origin)) / widths
     found = cKDTree(centres).query_ball_point(colouring.places, colouring.reach)

@@ -53,7 +53,7 @@ class Responses(Protocol):
 
 
 class Exact:
-    """From the second derivatives of the objective; see :class:`Responses`."""
+    """Responses from the second derivatives of the objective; see :class:`Responses`."""
 
     draws, draws_of_one = 16, (16, 32)  # chosen: errors are then right to 18 and 12 %
 
@@ -93,7 +93,7 @@ class Exact:
 
 
 def responses_of(posed: Posed, state: FitState, settings: FitSettings) -> Responses:
-    """Of the end of a fit: exact ones where they are affordable.
+    """Responses at the end of a fit, exact where that is affordable.
 
     Raises
     ------

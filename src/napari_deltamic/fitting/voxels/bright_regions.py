@@ -201,7 +201,7 @@ def _saddles(parts: Labels, light: np.ndarray) -> list[tuple[float, int, int]]:
 
 
 def _radii(starts: Labels, size: np.ndarray) -> NDArray[np.floating]:
-    """Of spheres as large as the starts, from number 1."""
+    """Radii of spheres as large as the starts, from number 1."""
     volumes = np.bincount(starts.ravel())[1:] * size.prod()
     return np.asarray(np.cbrt(3 / (4 * np.pi) * volumes))
 

@@ -225,7 +225,7 @@ def missed(found: Labels | None, starts: Labels, grid: Grid) -> Mask:
 
 
 def _of_one_cell(rest: Mask, start: Mask, size: NDArray[np.floating]) -> Mask:
-    """Of what a start has missed, what is neither thin nor beyond a neck."""
+    """The parts that a start has missed and that are neither thin nor beyond a neck."""
     deep = float(distance_transform_edt(np.pad(start, 1), sampling=size).max())
     whole, _ = without_thin(rest | start, RULES.thin * deep, size)
     parts, count = label(rest & whole, _ALL_AROUND)

@@ -232,7 +232,7 @@ def _across(radius: np.ndarray) -> NDArray[np.signedinteger]:
 
 
 def _radius(mesh: Mesh, optics: Optics) -> float:
-    """Of the median cell, in widths of the PSF."""
+    """Radius of the median cell, in widths of the PSF."""
     volume = float(np.median(list(mesh.volumes().values())))
     radius = np.cbrt(3 / (4 * np.pi) * abs(volume))
     return float(radius / geometric_mean(optics.sigma_um))
@@ -256,7 +256,7 @@ def _reach(bright: Mask, own: np.ndarray, around: Mask, least: float) -> float:
 
 
 def _rims(things: Mask, beyond: np.ndarray) -> Mask:
-    """Of things, those that are the rim of what they lie beside.
+    """The things that are rims of what they lie beside.
 
     beyond : (Z, Y, X) widths from where its light ends.
     """

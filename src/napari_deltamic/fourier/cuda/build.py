@@ -44,7 +44,7 @@ class Build:
 
     @property
     def kind(self) -> torch.dtype:
-        """Of numbers of that type."""
+        """The torch type of such numbers."""
         return torch.float32 if self.real == "float" else torch.float64
 
 

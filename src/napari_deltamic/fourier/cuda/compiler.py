@@ -79,7 +79,7 @@ def nvrtc() -> Any:
 
 
 def version() -> tuple[int, int]:
-    """Of NVRTC."""
+    """The version of NVRTC."""
     _, major, minor = nvrtc().nvrtcVersion()
     return int(major), int(minor)
 

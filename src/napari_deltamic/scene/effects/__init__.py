@@ -117,7 +117,7 @@ class Effects(BaseModel):
         return _made(cls, found)
 
     def present(self) -> tuple[Effect, ...]:
-        """Those that are there, in the order of the fields."""
+        """The effects that are there, in the order of the fields."""
         held = (getattr(self, name) for name in KINDS)
         return tuple(effect for effect in held if effect is not None)
 
@@ -172,7 +172,7 @@ class Effects(BaseModel):
         return self.replace(**dict.fromkeys(names))
 
     def fitted(self) -> tuple[Effect, ...]:
-        """Those with numbers that are fitted."""
+        """The effects with numbers that are fitted."""
         return tuple(e for e in self.present() if e.fit and e.bounds)
 
     def to_text(self) -> str:

@@ -38,7 +38,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Of a number of an effect: its unit, what it may be, and the size of a change that matters."""
+    """Unit and range of a number of an effect, and the size of a change that matters."""
 
     unit: str
     low: float

@@ -30,7 +30,7 @@ class Camera(DetectorEffect):
     )
 
     def variance(self, image: np.ndarray) -> np.ndarray:
-        """Of the intensities, where the image without noise is this one."""
+        """Variance of the intensities around this image without noise."""
         light: np.ndarray = np.maximum(image - self.offset, 0)
         return self.gain * light + self.read_noise**2
 

@@ -70,7 +70,7 @@ class Planned(Protocol):
 
     @property
     def plan(self) -> Plan | LinePlan:
-        """On the box of whose band transforms lie."""
+        """The plan; transforms lie on the box of its band."""
 
     def transform(
         self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
