@@ -27,7 +27,10 @@ from napari_deltamic.results.session_file import (
     save_session,
 )
 from napari_deltamic.runs.optics_settings import MeasuredOptics
+from napari_deltamic.results.session_parts import SavedTracks
 from napari_deltamic.runs.settings import RunSettings, SceneSettings
+from napari_deltamic.runs.track_run import TrackRun
+from napari_deltamic.tracking import Event, FrameResult
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int32, np.float32, np.float64, ">u2"])
@@ -230,3 +233,22 @@ def test_temporary_folders_go(tmp_path):
     path = done.stdout.strip()
     assert path.endswith("bead.tif")
     assert not os.path.exists(os.path.dirname(path))
+
+
+def test_frames_of_a_series_come_back_with_all_that_is_known_of_them(tmp_path):
+    event = Event("divided", 0, 1, "it divided", (2, 3))
+    frames = (
+        FrameResult(
+            0, 0.1, session().result.state.mesh, "odd", (event,), 1 / 3, 7, 0.1 + 0.2,
+            (0.3, 0.2, 0.1), (0.1, 1 / 7), "membrane", (0.1, 0.2, 0.3), "fair", "few voxels",
+        ),
+        FrameResult(1, 5.1, None, "dark"),
+    )  # fmt: skip
+    run = TrackRun(image="", seeds="", scene=SceneSettings(voxel_size=SIZE))
+    tracks = SavedTracks(np.zeros((2, *SHAPE), np.uint8), (5.0, 0.1, "second"), frames, run)
+    save_session(tmp_path / "a.deltamic", replace(session(), result=None, tracks=tracks))
+    again = load_session(tmp_path / "a.deltamic").tracks.results
+    assert same_mesh(again[0].mesh, frames[0].mesh)
+    assert again[1].mesh is None
+    for old, new in zip(frames, again, strict=True):
+        assert repr(replace(new, mesh=None)) == repr(replace(old, mesh=None))

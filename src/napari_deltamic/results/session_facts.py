@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from ..common.triple import Triple
-from .event_facts import EventFacts
+from ..tracking import FrameResult
 
 Plain = dict[str, Any]
 MeshName = dict[str, str | int]  # by which a MeshReader finds it
@@ -92,30 +92,14 @@ class ResultFacts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameFacts:
-    """Of a frame of a series; mesh : None where it was left out.
-
-    psf, structure, moving, grade, judgement : of its fit.
-    """
-
-    mesh: MeshName | None
-    message: str
-    events: tuple[EventFacts, ...]
-    psf: tuple[float, ...]
-    structure: str
-    moving: Triple | None
-    grade: str
-    judgement: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class TracksFacts:
-    """Of a series; time : scale, translation and unit."""
+    """Of a series; time : scale, translation and unit. meshes : of each frame, if it has one."""
 
     time: tuple[float, float, str]
     seconds: float
     shared_ground: bool
-    frames: list[FrameFacts]
+    frames: list[FrameResult]
+    meshes: list[MeshName | None]
 
 
 @dataclass(frozen=True, kw_only=True)

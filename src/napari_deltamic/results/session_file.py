@@ -7,7 +7,6 @@ with the rest; it needs no other file. See :mod:`napari_deltamic.geometry.archiv
 from __future__ import annotations
 
 import os
-from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -50,7 +49,7 @@ def save_session(path: str | os.PathLike[str], session: Session) -> None:
         tracks=tracks_facts(archive, meshes, session.tracks) if session.tracks else None,
     )
     archive.add_text("run.toml", keep_bead(archive, "run/bead", session.settings).to_toml())
-    archive.add_json("session.json", asdict(facts))
+    archive.add_json("session.json", SESSION.dump_python(facts, by_alias=True, warnings=False))
     archive.write(path)
 
 

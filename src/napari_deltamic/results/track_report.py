@@ -9,8 +9,7 @@ import os
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from math import nan
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +17,14 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from ..common.reading import json_values, read_text, reading
-from ..common.triple import Triple
 from ..common.writing import make_folder, write_atomically
 from ..errors import InputError, RepairWarning
-from ..geometry import load_mesh, save_mesh
+from ..geometry import Mesh, load_mesh, save_mesh
 from ..measure.tracks import TRACK_COLUMNS, measure_tracks
 from ..runs.track_run import TrackRun
 from ..scene import Grid
 from ..tracking import FrameResult, lineage, surface_4d
 from ..tracking.track_rules import RULES
-from .event_facts import EventFacts
 from .report import PACKAGES, plain_values, version_of
 from .rules_of_a_fit import rules_of_a_fit
 
@@ -132,83 +129,32 @@ def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
         values = json_values(read_text(path))
     try:
         frames = _FRAMES.validate_python(values["frames"])
+        used = [bool(facts["used"]) for facts in values["frames"]]
     except (LookupError, TypeError, ValueError):
         raise InputError(f"{path} is not a report of tracking") from None
-    return [_result(folder, facts) for facts in frames]
+    return [
+        replace(r, mesh=_mesh(folder, r.frame)) if there else r
+        for r, there in zip(frames, used, strict=True)
+    ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _FrameFacts:
-    """Of a frame, as the report holds it; None where a number is not known.
-
-    time_s, seconds : s. used : whether it was not left out. psf, structure, moving, grade,
-    judgement : older reports have none.
-    """
-
-    frame: int
-    time_s: float
-    used: bool
-    cells: tuple[int, ...] = ()
-    message: str
-    events: tuple[EventFacts, ...]
-    loss: float | None
-    iterations: int
-    seconds: float
-    sigma_um: tuple[float | None, float | None, float | None]
-    psf: tuple[float, ...] = ()
-    structure: str = ""
-    moving: Triple | None = None
-    grade: str = ""
-    judgement: str = ""
-
-    @classmethod
-    def of(cls, result: FrameResult) -> _FrameFacts:
-        return cls(
-            frame=result.frame,
-            time_s=result.time,
-            used=result.mesh is not None,
-            cells=tuple(result.cells),
-            message=result.message,
-            events=EventFacts.of(result.events),
-            loss=result.loss,
-            iterations=result.iterations,
-            seconds=round(result.seconds, 3),
-            sigma_um=result.sigma_um,
-            psf=result.psf,
-            structure=result.structure,
-            moving=result.moving,
-            grade=result.grade,
-            judgement=result.judgement,
-        )
+_FRAMES: TypeAdapter[list[FrameResult]] = TypeAdapter(list[FrameResult])
 
 
-_FRAMES: TypeAdapter[list[_FrameFacts]] = TypeAdapter(list[_FrameFacts])
+def _mesh(folder: Path, frame: int) -> Mesh:
+    with warnings.catch_warnings():
+        # What a fit left may have flaws, which are not new.
+        warnings.simplefilter("ignore", RepairWarning)
+        return load_mesh(folder / mesh_name(frame))
 
 
-def _result(folder: Path, facts: _FrameFacts) -> FrameResult:
-    mesh = None
-    if facts.used:
-        with warnings.catch_warnings():
-            # What a fit left may have flaws, which are not new.
-            warnings.simplefilter("ignore", RepairWarning)
-            mesh = load_mesh(folder / mesh_name(facts.frame))
-    z, y, x = (nan if s is None else s for s in facts.sigma_um)
-    return FrameResult(
-        frame=facts.frame,
-        time=facts.time_s,
-        mesh=mesh,
-        message=facts.message,
-        events=tuple(e.event(facts.frame) for e in facts.events),
-        loss=nan if facts.loss is None else facts.loss,
-        iterations=facts.iterations,
-        seconds=facts.seconds,
-        sigma_um=(z, y, x),
-        psf=facts.psf,
-        structure=facts.structure,
-        moving=facts.moving,
-        grade=facts.grade,
-        judgement=facts.judgement,
-    )
+def _frames(results: Sequence[FrameResult]) -> list[dict[str, Any]]:
+    """As the report holds them; used : whether a frame was not left out."""
+    plain = _FRAMES.dump_python(list(results), by_alias=True, warnings=False)
+    return [
+        {**facts, "seconds": round(r.seconds, 3), "used": r.mesh is not None, "cells": r.cells}
+        for facts, r in zip(plain, results, strict=True)
+    ]
 
 
 def _facts(
@@ -223,7 +169,7 @@ def _facts(
         "seconds": round(seconds, 3),
         "rules": {**rules_of_a_fit(), "tracking": asdict(RULES)},
         "warnings": list(remarks),
-        "frames": [asdict(_FrameFacts.of(r)) for r in results],
+        "frames": _frames(results),
         "lineage": [
             {"cell": c.cell, "parent": c.parent, "first": c.first, "last": c.last, "end": c.end}
             for c in lineage(results)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from math import nan
-from typing import Literal
+from math import isfinite, nan
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, InstanceOf, PlainSerializer
 
 from ..common.triple import Triple
 from ..errors import InputError
@@ -16,6 +17,12 @@ from ..fitting.model.state import FitState
 from ..geometry.mesh import Mesh
 
 EventKind = Literal["divided", "ended", "alarm"]
+# A number that may not be known: NaN here, None in files, as JSON has no NaN.
+Known = Annotated[
+    float,
+    BeforeValidator(lambda value: nan if value is None else value),
+    PlainSerializer(lambda value: value if isfinite(value) else None),
+]
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """A frame that is done.
+    """A frame that is done; files hold all of it but the mesh, which they have beside it.
 
     frame, time : number from 0, and seconds.
     mesh : with a region for each cell that is alive; None where the frame was left out.
@@ -52,14 +59,14 @@ class FrameResult:
     """
 
     frame: int
-    time: float
-    mesh: Mesh | None
+    time: Annotated[float, Field(alias="time_s")]
+    mesh: Annotated[InstanceOf[Mesh] | None, Field(exclude=True)] = None
     message: str = ""
     events: tuple[Event, ...] = ()
-    loss: float = nan
+    loss: Known = nan
     iterations: int = 0
     seconds: float = 0.0
-    sigma_um: tuple[float, float, float] = (nan, nan, nan)
+    sigma_um: tuple[Known, Known, Known] = (nan, nan, nan)
     psf: tuple[float, ...] = ()
     structure: str = ""
     moving: Triple | None = None
