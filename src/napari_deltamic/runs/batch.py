@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from ..common.choices import AUTO, IMAGE_FILES, ZARR, is_auto, is_image
 from ..common.reading import read_text, toml_values
-from ..common.toml import toml_value
+from ..common.toml import toml_document
 from ..common.writing import write_atomically
 from ..errors import PROGRAM, InputError
 from ..images.stacks import read_voxel_size
@@ -57,13 +57,7 @@ class BatchSettings(BaseModel):
 
     def to_toml(self) -> str:
         """The batch file."""
-        values = self.model_dump(exclude_none=True)
-        runs = values.pop("runs")
-        text = "".join(f"{name} = {toml_value(value)}\n" for name, value in values.items())
-        for run in runs:
-            text += "\n[[runs]]\n"
-            text += "".join(f"{name} = {toml_value(value)}\n" for name, value in run.items())
-        return text
+        return toml_document(self.model_dump(exclude=None if self.runs else {"runs"}))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any, Self, cast
 from pydantic import field_serializer
 
 from ..common.reading import read_text, reading, toml_values
-from ..common.toml import toml_value
+from ..common.toml import toml_document
 from ..scene.effects import Effects
 from .fit_settings import NEAR_LEVELS as NEAR_LEVELS
 from .fit_settings import WIDE_LEVELS as WIDE_LEVELS
@@ -39,18 +39,7 @@ class RunSettings(RunFields):
 
     def to_toml(self) -> str:
         """The settings as a TOML document."""
-        lines: list[tuple[str, Any]] = []
-        tables: list[tuple[str, dict[str, Any]]] = []
-        for name, value in self.model_dump().items():
-            if isinstance(value, dict):
-                tables.append((name, value))
-            elif value is not None:
-                lines.append((name, value))
-        text = "".join(f"{k} = {toml_value(v)}\n" for k, v in lines)
-        for name, table in tables:
-            text += f"\n[{name}]\n"
-            text += "".join(f"{k} = {toml_value(v)}\n" for k, v in table.items() if v is not None)
-        return text
+        return toml_document(self.model_dump())
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
