@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
+
+from platformdirs import user_cache_path
 
 CACHE_VARIABLE = "DELTAMIC_CACHE"
 
@@ -12,13 +13,4 @@ CACHE_VARIABLE = "DELTAMIC_CACHE"
 def cache_folder() -> Path:
     """That of the system for caches; the environment variable DELTAMIC_CACHE names another."""
     folder = os.environ.get(CACHE_VARIABLE)
-    if folder:
-        return Path(folder)
-    home = os.path.expanduser("~")  # unlike Path.home it never fails
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or os.path.join(home, "AppData", "Local")
-    elif sys.platform == "darwin":
-        base = os.path.join(home, "Library", "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
-    return Path(base) / "napari-deltamic"
+    return Path(folder) if folder else user_cache_path("napari-deltamic", appauthor=False)
