@@ -5,13 +5,13 @@ from typing import get_args
 
 import pytest
 import yaml
+from benchmarks.settings_page import SECTIONS, reference_page
 
 import napari_deltamic
 from napari_deltamic.cli import build_parser
 from napari_deltamic.common.description import described
 from napari_deltamic.runs.command import command, flags_of
 from napari_deltamic.runs.optics_settings import GaussianOptics, MeasuredOptics, MicroscopeOptics
-from napari_deltamic.runs.reference import SECTIONS, reference_page
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 from napari_deltamic.runs.track_run import TrackRun
 from napari_deltamic.runs.track_settings import TrackSettings
@@ -118,7 +118,7 @@ def test_a_run_without_wishes_has_a_short_command():
 
 
 def test_the_page_is_that_of_the_settings():
-    """``python -m napari_deltamic.runs.reference docs/settings.md`` makes it anew."""
+    """``python -m benchmarks.settings_page docs/settings.md`` makes it anew."""
     assert PAGE.read_text(encoding="utf-8") == reference_page()
 
 

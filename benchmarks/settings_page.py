@@ -6,11 +6,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ..common.description import Described, described
-from .fit_settings import FitSettings
-from .optics_settings import MeasuredOptics, MicroscopeOptics
-from .scene_settings import RunFields, SceneFields
-from .track_settings import TrackSettings
+from napari_deltamic.common.description import Described, described
+from napari_deltamic.runs.fit_settings import FitSettings
+from napari_deltamic.runs.optics_settings import MeasuredOptics, MicroscopeOptics
+from napari_deltamic.runs.scene_settings import RunFields, SceneFields
+from napari_deltamic.runs.track_settings import TrackSettings
 
 # Heading, table of run.toml, settings object.
 SECTIONS: tuple[tuple[str, str, type[Any]], ...] = (
@@ -23,7 +23,7 @@ SECTIONS: tuple[tuple[str, str, type[Any]], ...] = (
 )
 _HEAD = """# Settings
 
-Made by `python -m napari_deltamic.runs.reference docs/settings.md` from the descriptions of the
+Made by `python -m benchmarks.settings_page docs/settings.md` from the descriptions of the
 settings; do not edit it by hand. The help of the command line and the tooltips of the window show
 the same text.
 
