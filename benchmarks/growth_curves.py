@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import log, sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
 from napari_deltamic.accuracy.accuracy_chart import short
-from napari_deltamic.accuracy.log_chart import Chart, Series, time_text
+from napari_deltamic.accuracy.log_chart import PALETTE, Chart, Series, time_text
 from napari_deltamic.common.words import duration
 from napari_deltamic.fourier import Band
 from napari_deltamic.fourier.closed_form import band_ft
@@ -20,6 +20,9 @@ from napari_deltamic.scene import Renderer, Scene
 
 from . import paper_scheme
 from .figure import NARROW, SIGMA, timed, wavevectors
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ACCURACY = 1e-3  # of the particle-mesh
 LONGEST = 12.0  # s: what takes longer is reckoned from a part of it
@@ -142,24 +145,42 @@ WAYS: dict[str, Callable[[Mesh, int], Point]] = {
 }
 
 
+_MARKERS = {"triangle": "^", "diamond": "D", "square": "s", "circle": "o"}
+
+
+@dataclass(frozen=True)
+class _GrowthChart(Chart):
+    """Times upwards; what was not measured, but reckoned, is drawn as an outline."""
+
+    reckoned: Sequence[Sequence[bool]] = ()  # of each series, of each point
+
+    def figure(self) -> Figure:
+        figure = super().figure()
+        (axes,) = figure.axes
+        axes.yaxis.set_major_formatter(lambda value, _: time_text(value))
+        for series, marker, which in zip(
+            self.series, _MARKERS.values(), self.reckoned, strict=True
+        ):
+            points = zip(series.x, series.y, which, strict=True)
+            for x, y in ((x, y) for x, y, outline in points if outline):
+                axes.plot(
+                    x, y, marker, color=PALETTE[series.colour], markersize=8,
+                    markerfacecolor="white", markeredgewidth=2,
+                )  # fmt: skip
+        return figure
+
+
 def _growth_chart(
     title: str, x_label: str, x: Sequence[int], curves: dict[str, list[Point]]
 ) -> Chart:
-    markers = ("triangle", "diamond", "square", "circle")
+    times = [[p.seconds for p in points] for points in curves.values()]
     series = [
-        Series(
-            name,
-            list(x),
-            [p.seconds for p in points],
-            (1, 4, 0, 2)[i],
-            markers[i],  # type: ignore[arg-type]
-            line=True,
-            hollow=[p.reckoned for p in points],
-        )
-        for i, (name, points) in enumerate(curves.items())
+        Series(name, list(x), seconds, colour, marker, line=True)  # type: ignore[arg-type]
+        for name, seconds, colour, marker in zip(curves, times, (1, 4, 0, 2), _MARKERS, strict=True)
     ]
     y_label = "time of an image with its gradient"
-    return Chart(title, x_label, y_label, series, y_text=time_text)
+    reckoned = [[p.reckoned for p in points] for points in curves.values()]
+    return _GrowthChart(title, x_label, y_label, series, reckoned=reckoned)
 
 
 def _growth_table(what: str, heading: Sequence[str], curves: dict[str, list[Point]]) -> str:

@@ -103,9 +103,9 @@ def test_one_draw_has_no_spread():
 
 def test_shrunk_about_each_piece():
     other = sphere((1.0, 1.0, 9.0), 0.5, subdivisions=1)
-    both = shrunk(nd.Mesh.merge([TRUTH, other]), 0.2)
+    both = shrunk(nd.Mesh.merge([TRUTH, other]))
     one = both.vertices[: len(TRUTH.vertices)]
     two = both.vertices[len(TRUTH.vertices) :]
     assert np.allclose(one.mean(0), TRUTH.vertices.mean(0))
-    assert np.linalg.norm(one - one.mean(0), axis=1) == pytest.approx(0.8 * 1.1)
-    assert np.linalg.norm(two - two.mean(0), axis=1) == pytest.approx(0.8 * 0.5)
+    assert np.linalg.norm(one - one.mean(0), axis=1) == pytest.approx(0.9 * 1.1)
+    assert np.linalg.norm(two - two.mean(0), axis=1) == pytest.approx(0.9 * 0.5)

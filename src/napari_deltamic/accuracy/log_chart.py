@@ -15,8 +15,8 @@ if TYPE_CHECKING:  # matplotlib takes half a second to load: only where somethin
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Marker = Literal["circle", "square", "triangle", "diamond", "cross"]
-_MARKERS = {"circle": "o", "square": "s", "triangle": "^", "diamond": "D", "cross": "x"}
+Marker = Literal["circle", "square", "triangle", "diamond"]
+_MARKERS = {"circle": "o", "square": "s", "triangle": "^", "diamond": "D"}
 # Okabe and Ito's: told apart also by the colour-blind, and by the markers in print.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#787878", "#e69f00")
 _INCHES, _DPI = (10.0, 6.2), 100
@@ -42,8 +42,6 @@ class Series:
         Number in ``PALETTE``.
     line
         Whether the points are joined.
-    hollow
-        One for each point, or for all: drawn as an outline (not measured, but reckoned).
     spread
         Lowest and highest y of each point: a bar.
     """
@@ -54,7 +52,6 @@ class Series:
     colour: int = 0
     marker: Marker | None = "circle"
     line: bool = False
-    hollow: Sequence[bool] | bool = False
     spread: Sequence[tuple[float, float]] = ()
 
 
@@ -77,7 +74,6 @@ class Chart:
     series: Sequence[Series]
     notes: Sequence[Note] = ()
     x_text: Callable[[float], str] = field(default=lambda v: f"{v:g}")
-    y_text: Callable[[float], str] = field(default=_power)
 
     def figure(self) -> Figure:
         """Draw it.
@@ -95,7 +91,7 @@ class Chart:
         axes = figure.subplots()
         axes.set_title(self.title, loc="left")
         axes.set(xscale="log", yscale="log", xlabel=self.x_label, ylabel=self.y_label)
-        for axis, values, text in ((axes.xaxis, xs, self.x_text), (axes.yaxis, ys, self.y_text)):
+        for axis, values, text in ((axes.xaxis, xs, self.x_text), (axes.yaxis, ys, _power)):
             _ticks(axis, values, text)
         axes.grid(which="major", color="0.8")
         axes.grid(which="minor", color="0.92")
@@ -139,16 +135,10 @@ def _ticks(axis: Any, values: Sequence[float], text: Callable[[float], str]) -> 
 def _draw(axes: Axes, series: Series) -> None:
     colour = PALETTE[series.colour % len(PALETTE)]
     marker = _MARKERS[series.marker] if series.marker else ""
-    each = [series.hollow] * len(series.x) if isinstance(series.hollow, bool) else series.hollow
-    look: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 8, "linewidth": 2}
-    kind = "none" if series.hollow is True else "full"
-    axes.plot(  # what the legend shows; its points are drawn over
-        series.x, series.y, fillstyle=kind, label=series.name or None,
-        linestyle="-" if series.line else "", **look,
+    axes.plot(
+        series.x, series.y, label=series.name or None, linestyle="-" if series.line else "",
+        color=colour, marker=marker, markersize=8, linewidth=2,
     )  # fmt: skip
-    hollow = [k for k, outline in enumerate(each) if outline]
-    x, y = [series.x[k] for k in hollow], [series.y[k] for k in hollow]
-    axes.plot(x, y, linestyle="", markerfacecolor="white", markeredgewidth=2, **look)
     if series.spread:
         low, high = zip(*series.spread, strict=True)
         axes.vlines(series.x, low, high, color=colour, linewidth=2)
