@@ -59,7 +59,7 @@ def dividing_cell_sample() -> Sample:
     """A cell with a furrow, shortly before it divides."""
     grid = Grid((56, 80, 80), (0.22, 0.16, 0.16))
     center = 0.5 * (np.asarray(grid.shape) - 1) * grid.voxel_size
-    truth = _furrowed(center, length=4.6, radius=3.1, edge_length=0.3, degrees=25)
+    truth = _furrowed(center)
     return _sample("dividing cell", truth, grid, (0.36, 0.2, 0.2), [center])
 
 
@@ -136,14 +136,13 @@ def _spread(n: int, radii: Sequence[float]) -> NDArray[np.float64]:
     return points
 
 
-def _furrowed(
-    center: NDArray[np.float64], length: float, radius: float, edge_length: float, degrees: float
-) -> Mesh:
+def _furrowed(center: NDArray[np.float64]) -> Mesh:
     """An ellipsoid with a furrow around its long axis, which is turned out of X towards Y."""
-    ball = sphere((0, 0, 0), (radius, radius, length), edge_length=edge_length)
+    length, radius, turn = 4.6, 3.1, radians(25)
+    ball = sphere((0, 0, 0), (radius, radius, length), edge_length=0.3)
     zyx = ball.vertices_numpy()
     waist = 1 - 0.38 * np.exp(-((zyx[:, 2] / (0.35 * length)) ** 2))
     z, y, x = zyx[:, 0] * waist, zyx[:, 1] * waist, zyx[:, 2]
-    c, s = cos(radians(degrees)), sin(radians(degrees))
+    c, s = cos(turn), sin(turn)
     turned = np.stack([z, c * y + s * x, c * x - s * y], axis=1)
     return ball.with_vertices(turned + center)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, TypeVar
@@ -13,11 +12,6 @@ import torch
 
 class OutOfMemoryWarning(UserWarning):
     """The device has less memory than was asked for; the work is cut into smaller pieces."""
-
-
-def tell_out_of_memory(what: str) -> None:
-    """Warn that the device's memory is short and what is done about it."""
-    warnings.warn(f"the memory of the GPU is short: {what}", OutOfMemoryWarning, stacklevel=2)
 
 
 def pointer(t: torch.Tensor) -> ctypes.c_void_p:

@@ -7,13 +7,14 @@ the vertices. On a GPU that is :mod:`.device`; the tests run the same code on th
 from __future__ import annotations
 
 import ctypes
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from .build import ClosedFormBuild, pointer, tell_out_of_memory
+from .build import ClosedFormBuild, OutOfMemoryWarning, pointer
 from .build import Kernels as KernelsOf
 from .layout import Layout, corners_of_vertices, layout_of
 
@@ -236,7 +237,8 @@ def _parts(
             if parts == 1:
                 raise
             parts = -(-parts // 2)
-            tell_out_of_memory("the transform runs in fewer, larger pieces")
+            text = "the memory of the GPU is short: the transform runs in fewer, larger pieces"
+            warnings.warn(text, OutOfMemoryWarning, stacklevel=2)
 
 
 def _summed(

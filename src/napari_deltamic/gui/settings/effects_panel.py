@@ -10,10 +10,10 @@ from typing import Any
 from qtpy.QtWidgets import QFormLayout, QWidget
 
 from ...common.doing import heard
+from ...common.words import sentence
 from ...errors import InputError
 from ...evidence import Recommendation, recommend_for
 from ...evidence.camera import Camera
-from ...evidence.candidates import CONSIDERED
 from ...fitting import FitState
 from ...fitting.job import FitInput, optics_of, start
 from ...runs.settings import NEAR_LEVELS
@@ -21,7 +21,7 @@ from ...scene.effects import KINDS, Effects, ViewEffect, kind_of
 from ..document import Document
 from ..fields import TripleField
 from ..viewing.listening import Connections
-from ..widgets import LayerChooser, Note, Signal, TaskButton, button, column, row, sentence
+from ..widgets import LayerChooser, Note, Signal, TaskButton, button, column, row
 from ..window_words import as_tip
 from ..work import Question
 from .accuracy_forecast import scene_key
@@ -52,7 +52,7 @@ class EffectsPanel(QWidget):
         self.button = TaskButton(doc.work, _TITLES, _TIP, self._question, about, refused, self)
         tip = "Tick those that are recommended."
         self.take_button = button("Use recommended", tip, self.take_recommended, self)
-        self.table = EffectsTable(CONSIDERED, self)
+        self.table = EffectsTable(self)
         self.second = SecondViewFields(doc, self)
         said = self.progress, self.table, self.reason, self.remarks, self.second
         column(row(self.button, self.take_button), *said, of=self)

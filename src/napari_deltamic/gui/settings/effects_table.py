@@ -8,9 +8,11 @@ from typing import Any
 from qtpy.QtCore import QSignalBlocker, Qt
 from qtpy.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
+from ...common.words import sentence
 from ...evidence import Evidence
+from ...evidence.candidates import CONSIDERED
 from ...scene.effects import KINDS
-from ..widgets import Signal, be_as_high_as_rows, be_table_of_rows, sentence
+from ..widgets import Signal, be_as_high_as_rows, be_table_of_rows
 from ..window_words import as_tip
 
 _COLUMNS = (
@@ -32,9 +34,8 @@ class EffectsTable(QTableWidget):
     ticked = Signal(str, bool)
     looked_at = Signal(str)  # the effect of the row chosen
 
-    def __init__(self, names: Iterable[str], parent: QWidget | None = None) -> None:
+    def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, len(_COLUMNS), parent)
-        self._offered = tuple(names)
         self._evidence: dict[str, Evidence] = {}
         self._present: frozenset[str] = frozenset()
         columns = be_table_of_rows(self, _COLUMNS, 30)
@@ -71,7 +72,7 @@ class EffectsTable(QTableWidget):
     def _fill(self) -> None:
         blocker = QSignalBlocker(self)
         found = self._evidence
-        known = [*found, *(n for n in self._offered if n not in found)]
+        known = [*found, *(n for n in CONSIDERED if n not in found)]
         # A camera or missing voxels are only offered where they were found, or are there.
         names = [*known, *(n for n in KINDS if n in self._present and n not in known)]
         self.setRowCount(len(names))
