@@ -14,11 +14,11 @@ import tifffile
 
 import napari_deltamic as nd
 from napari_deltamic.fitting import fit
+from napari_deltamic.fitting.history import History
 from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.geometry.labels.label_edits import read_clicks_csv
 from napari_deltamic.images.series import open_series
 from napari_deltamic.images.stacks import read_image, write_image
-from napari_deltamic.results.report import History
 from napari_deltamic.results.scene_file import load_scene, save_scene
 from napari_deltamic.results.session_file import (
     SavedImage,

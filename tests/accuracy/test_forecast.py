@@ -12,9 +12,9 @@ from napari_deltamic import fit
 from napari_deltamic.accuracy.forecast import forecast
 from napari_deltamic.accuracy.iteration_costs import FORECAST
 from napari_deltamic.accuracy.machine_costs import costs
+from napari_deltamic.fitting.history import History
 from napari_deltamic.fourier.cost import BUILT_IN, Rates
 from napari_deltamic.geometry import Mesh, sphere
-from napari_deltamic.results.report import History
 from napari_deltamic.runs.settings import NEAR_LEVELS, WIDE_LEVELS, FitSettings
 from napari_deltamic.scene import Grid, samples
 from synthetic import GRID, OPTICS, VOXEL, measured, start

@@ -7,9 +7,10 @@ import pytest
 from qtpy.QtGui import QColor
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
+from napari_deltamic.common.words import sentence
 from napari_deltamic.gui.fit_widget import Column
 from napari_deltamic.gui.viewing.colours import BY_VALUE, ByValue
-from napari_deltamic.gui.widgets import VERDICTS, Note, sentence
+from napari_deltamic.gui.widgets import VERDICTS, Note
 from napari_deltamic.gui.window_words import for_window
 from napari_deltamic.results.judged import told
 

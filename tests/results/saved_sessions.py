@@ -5,8 +5,8 @@ import zipfile
 import numpy as np
 
 import napari_deltamic as nd
+from napari_deltamic.fitting.history import History
 from napari_deltamic.geometry import sphere
-from napari_deltamic.results.report import History
 from napari_deltamic.results.session_file import (
     SavedImage,
     SavedLayer,

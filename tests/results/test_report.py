@@ -12,11 +12,12 @@ from PIL import Image
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting import FitState
+from napari_deltamic.fitting.history import History
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.results.colouring import COLOURS
 from napari_deltamic.results.picture import picture, picture_png
-from napari_deltamic.results.report import FILES, History, write_results
+from napari_deltamic.results.report import FILES, write_results
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 from napari_deltamic.scene.effects import Effects, Halo
 

@@ -26,8 +26,8 @@ from napari_deltamic.results.session_file import (
     load_session,
     save_session,
 )
-from napari_deltamic.runs.optics_settings import MeasuredOptics
 from napari_deltamic.results.session_parts import SavedTracks
+from napari_deltamic.runs.optics_settings import MeasuredOptics
 from napari_deltamic.runs.settings import RunSettings, SceneSettings
 from napari_deltamic.runs.track_run import TrackRun
 from napari_deltamic.tracking import Event, FrameResult

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-
+from ..common.table import aligned
 from ..common.words import duration, scientific
 from .log_chart import Chart, Note, Series, time_text
 from .shape_error import ShapeError, enough
@@ -172,19 +171,6 @@ def shape_facts(found: Sequence[ShapeError], voxel: float) -> dict[str, Any]:
             for e in found
         ],
     }
-
-
-def aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
-    """Columns of text, the given ones to the left, the others to the right."""
-    widths = np.array([[len(cell) for cell in row] for row in rows]).max(0)
-    lines = []
-    for row in rows:
-        cells = [
-            cell.ljust(w) if i in left else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths.tolist(), strict=True))
-        ]
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)
 
 
 def short(accuracy: float) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from ..evidence.effect_cost import milliseconds
+from ..fitting import FitState
+from ..fitting.history import History
 from ..fitting.model.checks import FEWEST_VOXELS
 from ..fitting.model.default_accuracy import accuracy_for_image
 from ..fitting.model.level import level_shape
@@ -33,22 +34,6 @@ from .iteration_costs import (
 from .machine_costs import costs as known_costs
 
 _NOTHING = Experience()
-
-
-class FitHistory(Protocol):
-    """The course of a fit so far, as :class:`napari_deltamic.results.report.History` keeps it."""
-
-    level: list[int]
-    first: int
-
-
-class Where(Protocol):
-    """Where a fit is, as a :class:`FitState` says it."""
-
-    @property
-    def level(self) -> int: ...
-    @property
-    def converged(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -121,7 +106,7 @@ class Forecast:
         return self.levels[-1].seconds_per_iteration
 
     def remaining_seconds(
-        self, history: FitHistory, state: Where, elapsed: float | None = None
+        self, history: History, state: FitState, elapsed: float | None = None
     ) -> float | None:
         """Seconds until the fit has converged; None where nothing is known, at first or any more.
 
@@ -159,7 +144,7 @@ class Forecast:
             pace = float((elapsed / spent) ** trust)
         return left * pace
 
-    def experience(self, history: FitHistory, state: Where, elapsed: float) -> Experience | None:
+    def experience(self, history: History, state: FitState, elapsed: float) -> Experience | None:
         """What a fit of which this is the forecast teaches about the next; None if nothing.
 
         Parameters
@@ -192,12 +177,12 @@ class Forecast:
         ]
         return replace(self, levels=tuple(levels), learned=earlier)
 
-    def _spent(self, history: FitHistory) -> float:
+    def _spent(self, history: History) -> float:
         """Seconds that the iterations so far should have taken."""
         counts = ((level, _count(history, level.number)) for level in self.levels)
         return sum(a.preparation + n * a.seconds_per_iteration for a, n in counts if n)
 
-    def _done(self, history: FitHistory, present: int, *, ended: bool = False) -> tuple[int, int]:
+    def _done(self, history: History, present: int, *, ended: bool = False) -> tuple[int, int]:
         """Iterations of the levels that are over, and how many had been expected of them.
 
         The present level counts as far as it has come, unless it has ended too.
@@ -211,7 +196,7 @@ class Forecast:
                 wanted += level.iterations if over else min(here, level.iterations)
         return done, wanted
 
-    def _more(self, history: FitHistory, present: int) -> float:
+    def _more(self, history: History, present: int) -> float:
         """Iterations that the levels need, in parts of what was expected, by those so far."""
         done, wanted = self._done(history, present)
         if not done or not wanted:
@@ -219,7 +204,7 @@ class Forecast:
         return float((done / wanted) ** (wanted / (wanted + FORECAST.first)))
 
 
-def _count(history: FitHistory, number: int) -> int:
+def _count(history: History, number: int) -> int:
     """Iterations that a level has had."""
     return sum(1 for one in history.level if one == number)
 

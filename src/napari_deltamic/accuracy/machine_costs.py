@@ -60,25 +60,17 @@ def expected_seconds(work: Work, single: bool, device: str = "cpu") -> float:
     return known.seconds(work, single)
 
 
-@cache
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("napari-deltamic")
-    except PackageNotFoundError:
-        return "unknown"
-
-
 def _whose() -> dict[str, Any]:
     """What costs depend on: they are stale where one of these has changed."""
+    from ..common.version import __version__  # only here, as it takes longer than the rest
+
     try:
         level = simd_level() if native() is not None else "none"
     except InputError:
         level = "unknown"
     return {
         "format": _FORMAT,
-        "version": _version(),
+        "version": __version__,
         "machine": f"{platform.system()} {platform.machine()}, {processor()}",
         "cores": os.cpu_count(),
         "threads": threads(),

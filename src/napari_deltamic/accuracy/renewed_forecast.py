@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .forecast import FitHistory, Forecast, LevelForecast, Where
-
-
-@dataclass
-class _Since:
-    """The course of a fit since its settings were changed."""
-
-    level: list[int]
-    first: int
+from ..fitting import FitState
+from ..fitting.history import History
+from .forecast import Forecast
 
 
 @dataclass(frozen=True)
@@ -31,20 +25,15 @@ class RenewedForecast:
     iterations: int
     seconds: float
 
-    @property
-    def levels(self) -> tuple[LevelForecast, ...]:
-        """Of the forecast."""
-        return self.forecast.levels
-
     def remaining_seconds(
-        self, history: FitHistory, state: Where, elapsed: float | None = None
+        self, history: History, state: FitState, elapsed: float | None = None
     ) -> float | None:
         """s until the fit has converged; None while nothing is known."""
         left = self.forecast.remaining_seconds(history, state)
         if left is None or elapsed is None:
             return left
         # Only the iterations since the change tell how far the new forecast is off.
-        since = _Since(history.level[self.iterations :], history.first + self.iterations)
+        since = History(level=history.level[self.iterations :])
         plain = self.forecast.remaining_seconds(since, state)
         scaled = self.forecast.remaining_seconds(since, state, elapsed - self.seconds)
         return left * scaled / plain if plain and scaled is not None else left

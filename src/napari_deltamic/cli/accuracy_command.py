@@ -128,9 +128,7 @@ def _from_image(arguments: argparse.Namespace, notes: Notes) -> _Scene:
     job = gather(_Blank(image=arguments.scene, **asked), notes)
     noise = image_noise(job.image)
     accuracy = accuracy_for(noise) if arguments.accuracy is None else arguments.accuracy
-    fit_settings = job.settings.fit.model_copy(update={"accuracy": accuracy})
-    settings = job.settings.model_copy(update={"fit": fit_settings})
-    job = FitInput(**{**vars(job), "settings": settings})
+    job = job.with_settings(fit=job.settings.fit.model_copy(update={"accuracy": accuracy}))
     name = Path(arguments.scene).name
     return _Scene(name, job.mesh, job.grid, job.optics, accuracy, noise, job)
 
@@ -161,7 +159,7 @@ def _ways(scene: _Scene, budget: float) -> list[Way]:
 
 def _shapes(scene: _Scene, arguments: argparse.Namespace) -> list[ShapeError]:
     """Surface errors: of the mesh at so many photons, or of the fitted one at the image's noise."""
-    truth, optics, settings = scene.mesh, scene.optics, None
+    truth, optics = scene.mesh, scene.optics
     photons = arguments.photons
     if scene.job is not None:
         job = scene.job
@@ -181,7 +179,6 @@ def _shapes(scene: _Scene, arguments: argparse.Namespace) -> list[ShapeError]:
             scene.grid,
             optics,
             photons,
-            settings=settings,
             draws=arguments.draws or DRAWS,
             progress=progress,
         )

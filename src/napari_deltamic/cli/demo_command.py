@@ -16,12 +16,13 @@ from ..common.writing import make_folder, write_atomically
 from ..evidence import analyse_residual
 from ..evidence.fit_facts import verdict_of
 from ..fitting import FitState, fit
+from ..fitting.history import History
 from ..fitting.job import FitInput
 from ..geometry import Mesh, save_mesh, sphere
 from ..images.stacks import write_image
 from ..measure import surface_distance
 from ..optics import GaussianPSF
-from ..results.report import History, write_results
+from ..results.report import write_results
 from ..runs.settings import FitSettings, RunSettings, SceneSettings
 from ..scene.samples import Sample, dividing_cell_sample
 from .messages import Notes

@@ -8,7 +8,6 @@ import os
 import platform
 import sys
 import warnings
-from importlib.metadata import PackageNotFoundError, version
 from math import prod
 from typing import Any
 
@@ -16,6 +15,8 @@ import torch
 
 from .. import __version__
 from ..accuracy.machine_costs import costs, expected_seconds, processor
+from ..common.version import version_of
+from ..common.words import duration
 from ..errors import InputError
 from ..fourier import Plan, native, simd_level
 from ..fourier.cuda import compiler, missing
@@ -71,10 +72,7 @@ def _versions() -> dict[str, str]:
     found = {"napari-deltamic": __version__, "python": platform.python_version()}
     found["system"] = f"{platform.system()} {platform.machine()}"
     for package in (*PACKAGES[1:], *EXTRAS):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
+        found[package] = version_of(package, "not installed")
     return found
 
 
@@ -160,6 +158,4 @@ def _used() -> dict[str, str]:
 
 
 def _time(plan: Plan) -> str:
-    seconds = expected_seconds(plan.work, plan.single, plan.device)
-    value, unit = (seconds, "s") if seconds >= 1 else (1e3 * seconds, "ms")
-    return f"{value:.0f} {unit}" if value >= 10 else f"{value:.1f} {unit}"
+    return duration(expected_seconds(plan.work, plan.single, plan.device))

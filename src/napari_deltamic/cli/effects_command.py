@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         return 0
     if arguments.json:
         write_atomically(Path(arguments.json), text.encode())
-    for line in [*as_table(found), *found.remarks, "", *_image_lines(found.camera, hints)]:
+    for line in [as_table(found), *found.remarks, "", *_image_lines(found.camera, hints)]:
         print(line)
     _say_how(found)
     return 0

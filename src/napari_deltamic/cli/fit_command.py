@@ -18,9 +18,10 @@ from ..evidence import analyse_residual, recommend_for
 from ..evidence.fit_facts import verdict_of
 from ..evidence.sanity import tell_doubts
 from ..fitting import FitState
+from ..fitting.history import History
 from ..fitting.job import FitInput, following, start
 from ..images.stacks import write_image
-from ..results.report import History, write_results
+from ..results.report import write_results
 from ..runs.fit_settings import asked_error
 from .arguments.fit_arguments import CHECKPOINT
 from .inputs import gather
@@ -29,7 +30,6 @@ from .recommending import (
     as_plain,
     residual_as_plain,
     verdict,
-    with_recommended,
 )
 from .second_view_input import check_second_view
 
@@ -135,7 +135,8 @@ class _Run:
             self.notes.add(line)
         if not found.recommended:
             return iter(())
-        self._take_over(with_recommended(self.job, found))
+        scene = self.job.settings.scene.model_copy(update={"effects": found.effects})
+        self._take_over(self.job.with_settings(scene=scene))
         self.history = History()
         self.last = replace(self.last, message="")  # its verdict is not that of what comes
         return start(self.job)

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
+from ..common.table import aligned
 from ..evidence import Recommendation, Residual
 from ..evidence.camera import Camera
-from ..fitting.job import FitInput
 
 _HEADINGS = ("effect", "score", "bias (nm)", "cost (ms)", "", "why")
-
-
-def with_recommended(job: FitInput, found: Recommendation) -> FitInput:
-    """The same fit with the effects recommended, which its settings then name."""
-    scene = job.settings.scene.model_copy(update={"effects": found.effects})
-    return replace(job, settings=job.settings.model_copy(update={"scene": scene}))
 
 
 def verdict(found: Recommendation) -> list[str]:
@@ -25,32 +19,20 @@ def verdict(found: Recommendation) -> list[str]:
     return [*lines, *(f"effects: {remark}" for remark in found.remarks)]
 
 
-def as_table(found: Recommendation) -> list[str]:
+def as_table(found: Recommendation) -> str:
     """Aligned lines: every effect that was considered."""
-    cells = [
-        _HEADINGS,
-        *(
-            (
-                e.name,
-                f"{e.score:.1f}",
-                f"{e.bias_nm:.2g}" if e.bias_nm < 10 else f"{e.bias_nm:.0f}",
-                f"{e.cost_ms:.1f}",
-                "take" if e.recommended else "",
-                e.reason,
-            )
-            for e in found.evidence
-        ),
+    rows = [
+        (
+            e.name,
+            f"{e.score:.1f}",
+            f"{e.bias_nm:.2g}" if e.bias_nm < 10 else f"{e.bias_nm:.0f}",
+            f"{e.cost_ms:.1f}",
+            "take" if e.recommended else "",
+            e.reason,
+        )
+        for e in found.evidence
     ]
-    widths = [max(len(line[k]) for line in cells) for k in range(len(_HEADINGS) - 1)]
-    right = (1, 2, 3)
-    lines = []
-    for line in cells:
-        padded = [
-            c.rjust(w) if k in right else c.ljust(w)
-            for k, (c, w) in enumerate(zip(line[:-1], widths, strict=True))
-        ]
-        lines.append("  ".join([*padded, line[-1]]).rstrip())
-    return lines
+    return aligned([_HEADINGS, *rows], left=(0, 4, 5))
 
 
 def as_plain(found: Recommendation) -> dict[str, Any]:

@@ -15,6 +15,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import Field
 from pydantic.fields import FieldInfo
 
+from .words import sentence
+
 Kind = Literal["switch", "choice", "whole", "number", "triple", "numbers", "text", "part"]
 _KEY = "setting"
 
@@ -92,7 +94,7 @@ class Described:
     @property
     def sentence(self) -> str:
         """The tip as a sentence, with the unit."""
-        return f"{self.tip[0].upper()}{self.tip[1:]}."
+        return sentence(self.tip)
 
     @property
     def bounds(self) -> str:

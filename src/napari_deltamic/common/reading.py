@@ -6,7 +6,7 @@ import json
 import logging
 import tomllib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -53,24 +53,13 @@ def reading(what: str, path: str | Path) -> Iterator[None]:
 
 def toml_values(text: str) -> dict[str, Any]:
     """What a TOML document says. InputError where it is none, or too deep."""
-    _check_length(text)
-    try:
-        return tomllib.loads(text)
-    except RecursionError:
-        raise InputError("it is nested too deeply") from None
-    except (ValueError, OverflowError) as error:
-        raise InputError(one_reason(error)) from None
+    found: dict[str, Any] = _values(text, tomllib.loads)
+    return found
 
 
 def json_values(text: str) -> Any:
     """What a JSON document says. InputError where it is none, or too deep."""
-    _check_length(text)
-    try:
-        return json.loads(text)
-    except RecursionError:
-        raise InputError("it is nested too deeply") from None
-    except (ValueError, OverflowError) as error:
-        raise InputError(one_reason(error)) from None
+    return _values(text, json.loads)
 
 
 def one_reason(error: BaseException) -> str:
@@ -95,6 +84,12 @@ def quiet(*loggers: str) -> Iterator[None]:
             logger.setLevel(level)
 
 
-def _check_length(text: str) -> None:
+def _values(text: str, parse: Callable[[str], Any]) -> Any:
     if len(text) > LARGEST_TEXT:
         raise InputError(f"it is longer than {LARGEST_TEXT >> 20} million characters")
+    try:
+        return parse(text)
+    except RecursionError:
+        raise InputError("it is nested too deeply") from None
+    except (ValueError, OverflowError) as error:
+        raise InputError(one_reason(error)) from None

@@ -26,6 +26,11 @@ def duration(seconds: float, whole: bool = False) -> str:
     return f"{hours:{digits}} h" if hours < 48 else f"{hours / 24:.0f} days"
 
 
+def sentence(text: str) -> str:
+    """A reason, or a question, as a sentence."""
+    return f"{text[0].upper()}{text[1:]}{'' if text.endswith('?') else '.'}" if text else ""
+
+
 def counted(n: int, thing: str) -> str:
     """So many of a thing: 1 cell, 2 cells."""
     return f"{n} {thing}" if n == 1 else f"{n} {thing}s"

@@ -7,12 +7,13 @@ from typing import Any
 
 from qtpy.QtWidgets import QFormLayout, QGroupBox, QLabel, QWidget
 
+from ..common.words import sentence
 from ..errors import InputError
 from .document import Document
 from .fields import TripleField
 from .layer_channels import Choice, channel_axes, channels
 from .viewing.frame import data_of, um_per_unit
-from .widgets import LayerChooser, Note, button, narrow_box, row, sentence
+from .widgets import LayerChooser, Note, button, narrow_box, row
 
 WHOLE, BOX = "whole image", "the rectangle drawn"
 

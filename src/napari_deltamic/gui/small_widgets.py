@@ -14,6 +14,7 @@ from napari.utils.notifications import show_warning
 
 from ..common.choices import IMMERSIONS, CellKind
 from ..common.description import described
+from ..common.words import sentence
 from ..common.writing import own_folder
 from ..errors import InputError
 from ..measure import Known, measure
@@ -28,7 +29,7 @@ from .cell_source import mesh_of_surface
 from .viewing.cell_layers import labels_options
 from .viewing.colours import surface_look, vertex_values
 from .viewing.frame import OWN, TRUTH, WORLD, Frame, shape_of
-from .widgets import Note, sentence
+from .widgets import Note
 from .window_words import attempt, for_window, words_of
 
 

@@ -218,11 +218,6 @@ def is_dark(widget: QWidget) -> bool:
     return widget.palette().color(QtGui.QPalette.ColorRole.Window).lightness() < 128
 
 
-def sentence(text: str) -> str:
-    """A reason, or a question, as a sentence."""
-    return f"{text[0].upper()}{text[1:]}{'' if text.endswith('?') else '.'}" if text else ""
-
-
 def be_table_of_rows(table: QTableWidget, titles: Iterable[tuple[str, str]], narrowest: int) -> Any:
     """Rows are chosen, not edited, and columns as wide as what they hold; the header, for more.
 

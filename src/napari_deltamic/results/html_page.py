@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from ..common.version import version_of
 from ..common.words import readable
 from ..measure import Measurements, Table
 from .measured_source import Measurable
 from .picture import picture_png
-from .report import PACKAGES, version_of
+from .report import PACKAGES
 
 # What the page shows of the tables; the CSV files hold the rest.
 _SHOWN = {

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.words import sentence
 from ..evidence.fit_facts import verdict_of
 from ..evidence.residual import Residual, analyse_residual
 from ..evidence.unseeded_objects import Stray, strays
@@ -148,14 +149,10 @@ def told(known: Judged, length: str = "µm", *, stopped: bool = False) -> str:
     reasons = [r.text for r in verdict.reasons if r.kind not in ("explained", "cells")]
     if any(reason.kind == "cells" for reason in verdict.reasons):
         reasons.append(f"{_of_cells(verdict)}: the table says why")
-    text += "".join(f" {_sentence(reason)}" for reason in reasons)
+    text += "".join(f" {sentence(reason)}" for reason in reasons)
     if verdict.grade == "poor":
         text += " Look at the surfaces before you use them."
     return text
-
-
-def _sentence(reason: str) -> str:
-    return reason[0].upper() + reason[1:] + ("" if reason.endswith("?") else ".")
 
 
 def _of_cells(verdict: Verdict) -> str:

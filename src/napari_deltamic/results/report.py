@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import asdict
 from math import isfinite, prod
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,11 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
+from ..common.version import version_of
 from ..common.writing import make_folder, write_atomically, written_together
 from ..evidence.verdict import Verdict
 from ..fitting import FitState
+from ..fitting.history import History
 from ..fourier.devices import choose_device
 from ..fourier.native import threads
 from ..geometry import save_mesh
@@ -41,38 +42,6 @@ FILES = (
     "picture.png",
 )
 PACKAGES = ("napari-deltamic", "torch", "numpy", "scipy", "scikit-image", "cholespy")
-
-
-@dataclass
-class History:
-    """The course of a fit, state by state.
-
-    loss, level, blur : one value an iteration, see ``FitState``.
-    first : the iteration that they begin with; above 1 where a fit was resumed.
-    """
-
-    loss: list[float] = field(default_factory=list)
-    level: list[int] = field(default_factory=list)
-    blur: list[float] = field(default_factory=list)
-    first: int = 1
-
-    def add(self, state: FitState) -> None:
-        """Note a state; call it for every one that the fit yields."""
-        if not self.loss:
-            self.first = state.iteration
-        self.loss.append(float(state.loss))
-        self.level.append(int(state.level))
-        self.blur.append(float(state.blur))
-
-    def levels(self) -> list[dict[str, Any]]:
-        """For each level reached: number, blur, iterations and last loss."""
-        found: list[dict[str, Any]] = []
-        for loss, level, blur in zip(self.loss, self.level, self.blur, strict=True):
-            if not found or found[-1]["level"] != level:
-                found.append({"level": level, "blur": blur, "iterations": 0})
-            found[-1]["iterations"] += 1
-            found[-1]["loss"] = loss
-        return found
 
 
 def write_results(
@@ -222,14 +191,6 @@ def engine_used(state: FitState, grid: Grid, accuracy: float, device: torch.devi
     """What computes the images of a state at the last level, in words."""
     method = Renderer(Scene.of(state.mesh, state.optics), grid, accuracy, device=device).plan.method
     return f"{device.type}, {method}, {threads()} threads"
-
-
-def version_of(package: str) -> str:
-    """The version of an installed package; "unknown" where there is none."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def plain_values(value: Any) -> Any:

@@ -7,11 +7,11 @@ with the rest; it needs no other file. See :mod:`napari_deltamic.geometry.archiv
 from __future__ import annotations
 
 import os
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from pydantic import ValidationError
 
+from ..common.version import __version__
 from ..common.wrong_value import first_wrong_value
 from ..errors import InputError
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshWriter, opened
@@ -40,7 +40,7 @@ def save_session(path: str | os.PathLike[str], session: Session) -> None:
     facts = SessionFacts(
         format=_FORMAT,
         version=VERSION,
-        written_by=f"napari-deltamic {_version()}",
+        written_by=f"napari-deltamic {__version__}",
         image=_image_facts(archive, "image", session.image),
         second=_image_facts(archive, "second", session.second) if session.second else None,
         seeds=[_layer_facts(archive, k, seed) for k, seed in enumerate(session.seeds)],
@@ -70,7 +70,7 @@ def load_session(path: str | os.PathLike[str]) -> Session:
     if session is None:
         raise InputError(
             f"{path}: written by a newer version ({facts.get('written_by', 'unknown')}): "
-            f"this is napari-deltamic {_version()}"
+            f"this is napari-deltamic {__version__}"
         )
     return session
 
@@ -131,13 +131,6 @@ def _image(archive: ArchiveReader, name: str, facts: ImageFacts) -> SavedImage:
 def _layer(archive: ArchiveReader, index: int, facts: LayerFacts) -> SavedLayer:
     arrays = {name: archive.array(f"seeds/{index}/{name}") for name in facts.arrays}
     return SavedLayer(facts.kind, arrays=arrays, options=facts.options, **_place(facts))
-
-
-def _version() -> str:
-    try:
-        return version("napari-deltamic")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 __all__ = [

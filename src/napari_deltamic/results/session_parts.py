@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ..common.triple import Triple
 from ..fitting import FitState
+from ..fitting.history import History
 from ..geometry import Mesh
 from ..runs.settings import RunSettings
 from ..runs.track_run import TrackRun
 from ..scene import Grid
 from ..tracking import FrameResult
-from .report import History
 from .timeline import Moment
 
 

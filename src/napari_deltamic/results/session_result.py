@@ -15,6 +15,7 @@ from ..common.reading import toml_values
 from ..common.triple import triple
 from ..errors import InputError
 from ..fitting import FitState
+from ..fitting.history import History
 from ..fitting.job import optics_of
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter
 from ..optics import GaussianPSF, Optics
@@ -22,7 +23,6 @@ from ..runs.settings import RunSettings, validated
 from ..scene import Grid
 from ..scene.effects import Effects
 from ..scene.light import Light
-from .report import History
 from .session_bead import keep_bead, with_bead
 from .session_facts import MomentFacts, ResultFacts, StateFacts
 from .session_parts import SavedResult

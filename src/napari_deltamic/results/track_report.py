@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from ..common.reading import json_values, read_text, reading
+from ..common.version import version_of
 from ..common.writing import make_folder, write_atomically
 from ..errors import InputError, RepairWarning
 from ..geometry import Mesh, load_mesh, save_mesh
@@ -25,7 +26,7 @@ from ..runs.track_run import TrackRun
 from ..scene import Grid
 from ..tracking import FrameResult, lineage, surface_4d
 from ..tracking.track_rules import RULES
-from .report import PACKAGES, plain_values, version_of
+from .report import PACKAGES, plain_values
 from .rules_of_a_fit import rules_of_a_fit
 
 MESH_KINDS = (".ply", ".vtk")  # exact, with regions; and for viewers that play series

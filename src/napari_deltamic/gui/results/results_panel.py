@@ -14,6 +14,7 @@ from qtpy.QtWidgets import QFileDialog, QGroupBox, QMenu, QVBoxLayout, QWidget
 from superqt.utils import signals_blocked
 
 from ...common.table import csv_text
+from ...common.words import sentence
 from ...common.writing import write_atomically
 from ...errors import InputError
 from ...geometry import save_mesh
@@ -33,7 +34,7 @@ from ..viewing.contours import sliced_axis
 from ..viewing.frame import camera_of
 from ..viewing.listening import Presses, is_click, wants_clicks
 from ..viewing.viewer_link import ViewerLink
-from ..widgets import Note, action, button, filled, narrow_box, row, sentence
+from ..widgets import Note, action, button, filled, narrow_box, row
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
 _NEAR = 6.0  # px: how far from its contour a click may be
@@ -104,10 +105,12 @@ class ResultsPanel(QGroupBox):
     def save_all(self, folder: str) -> None:
         """Write what the command line would."""
         record = self._result()
-        state, job = record.of_fit()
-        given = job.image, job.grid, job.settings, record.history, record.seconds
+        end = record.reached
+        assert end is not None
+        job = end.job
+        given = end.state, job.image, job.grid, job.settings, end.history, end.seconds
         verdict = None if record.judged is None else record.judged.verdict
-        write_results(folder, state, *given, verdict=verdict)
+        write_results(folder, *given, verdict=verdict)
         self._saved(folder)
 
     def add_labels(self) -> None:

@@ -7,10 +7,10 @@ from typing import Any
 
 from qtpy.QtWidgets import QProgressBar, QWidget
 
-from ...common.words import counted, duration
+from ...common.words import counted, duration, sentence
 from ...errors import InputError
 from ..document import Document
-from ..widgets import Note, button, column, row, sentence
+from ..widgets import Note, button, column, row
 from .worker import FitRun, Snapshot
 
 # An iteration takes long after so many seconds, and so many times the usual one: then a forecast

@@ -12,10 +12,11 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QSlider, QWidget
 from superqt.utils import signals_blocked
 
+from ...common.words import sentence
 from ...errors import InputError
 from ...results.timeline import Moment, explained
 from ..document import Document
-from ..widgets import Note, Signal, button, column, row, sentence, small
+from ..widgets import Note, Signal, button, column, row, small
 from ..window_words import as_tip
 from .edits import OTHER_PSF, Edits, can_take
 

@@ -17,9 +17,9 @@ from ...accuracy.renewed_forecast import RenewedForecast
 from ...common.doing import listening
 from ...errors import InputError
 from ...fitting import Change, FitState
+from ...fitting.history import History
 from ...fitting.job import FitInput, following, scene_with, start
 from ...fitting.pending import Waiting, usable
-from ...results.report import History
 from ..window_words import words_of
 from ..work import Outcome, Task
 

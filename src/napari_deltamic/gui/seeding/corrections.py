@@ -16,7 +16,7 @@ from qtpy.QtCore import QObject
 from qtpy.QtWidgets import QWidget
 
 from ...common.triple import triple
-from ...common.words import counted
+from ...common.words import counted, sentence
 from ...errors import InputError
 from ...geometry import Click
 from ...geometry.labels.label_edits import Action, Corrector
@@ -26,7 +26,7 @@ from ..cell_source import seeds_from_layer
 from ..document import Document
 from ..viewing.frame import FloatArray, Frame, chosen_of
 from ..viewing.listening import Presses, is_click, lay_down, wants_clicks
-from ..widgets import Note, Signal, ToolBar, button, sentence, small
+from ..widgets import Note, Signal, ToolBar, button, small
 from ..window_words import attempt
 
 # Title, what it does, and its name among the edits of labels.

@@ -16,7 +16,7 @@ from qtpy.QtWidgets import QPushButton, QWidget
 from superqt.utils import signals_blocked
 
 from ...common.triple import geometric_mean
-from ...common.words import counted
+from ...common.words import counted, sentence
 from ...errors import InputError
 from ...evidence.tilted_ground import with_ground
 from ...fitting.job import levelled
@@ -27,7 +27,7 @@ from ..document import Document
 from ..layer_channels import of_one_stack
 from ..viewing.colours import label_colormap
 from ..viewing.frame import Frame
-from ..widgets import Signal, sentence, slider
+from ..widgets import Signal, slider
 
 NAME = "found cells"
 _OTHERS = 3  # sizes that are offered besides the one used, at most

@@ -11,7 +11,7 @@ import numpy as np
 from napari.layers import Points
 from qtpy.QtWidgets import QFileDialog, QFormLayout, QGroupBox, QWidget
 
-from ...common.words import counted
+from ...common.words import counted, sentence
 from ...errors import InputError, RepairWarning
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
 from ..document import Document
@@ -20,7 +20,7 @@ from ..viewing.frame import Frame, chosen_of, made_by_fit
 from ..viewing.listening import Connections
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
-from ..widgets import Note, button, narrow_box, row, sentence, slider
+from ..widgets import Note, button, narrow_box, row, slider
 from ..work import one_shot
 from .corrections import Corrections
 from .find_cells_button import FindCells
