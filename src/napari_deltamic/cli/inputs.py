@@ -43,7 +43,7 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
     scene = values["scene"]
     scene["voxel_size"] = voxel_size_of(scene.get("voxel_size"), found, values["image"], notes)
     settings: RunSettings = validated(RunSettings, values)
-    image, padded = without_padding(_without_bad(image, arguments.missing_nan, notes))
+    image, padded = without_padding(usable(image, arguments.missing_nan, notes))
     if padded:
         notes.add(f"{Path(settings.image).name}: {padded}")
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
@@ -160,8 +160,8 @@ def voxel_size_of(given: Any, found: VoxelSize | None, path: str, notes: Notes) 
     return found
 
 
-def _without_bad(image: NDArray[Any], missing_nan: bool, notes: Notes) -> NDArray[Any]:
-    """The image with NaN where it is not finite, if that was asked for."""
+def usable(image: NDArray[Any], missing_nan: bool, notes: Notes, frame: str = "") -> NDArray[Any]:
+    """The image, or a frame, with NaN where it is not finite, if that was asked for."""
     if not np.issubdtype(image.dtype, np.floating):
         return image
     nan, infinite = int(np.isnan(image).sum()), int(np.isinf(image).sum())
@@ -170,8 +170,10 @@ def _without_bad(image: NDArray[Any], missing_nan: bool, notes: Notes) -> NDArra
     counts = " and ".join(f"{n} {kind}" for n, kind in ((nan, "NaN"), (infinite, "infinite")) if n)
     if not missing_nan:
         voxels = "voxel" if nan + infinite == 1 else "voxels"
-        raise InputError(f"the image holds {counts} {voxels}; --missing-nan leaves them out")
-    notes.add(f"{counts} of {image.size} voxels are treated as missing")
+        where = frame or "the image"
+        raise InputError(f"{where} holds {counts} {voxels}; --missing-nan leaves them out")
+    where = frame and f" of {frame}"
+    notes.add(f"{counts} of {image.size} voxels{where} are treated as missing")
     return finite_or_nan(image)
 
 

@@ -16,7 +16,6 @@ from ..common.choices import AUTO
 from ..common.writing import own_folder, written_together
 from ..errors import PROGRAM, InputError, failure
 from ..fitting.job import FitInput
-from ..images.missing import finite_or_nan
 from ..images.padding import without_padding
 from ..images.series import ImageSeries, open_series
 from ..results.track_report import (
@@ -33,7 +32,7 @@ from ..scene import Grid
 from ..tracking import FrameResult, track
 from .arguments.track_arguments import track_values
 from .folders import check_folder
-from .inputs import CHANNEL, fit_of, run_values, voxel_size_of
+from .inputs import CHANNEL, fit_of, run_values, usable, voxel_size_of
 from .messages import INTERRUPTED, Bar, Notes, tell
 
 _PRECIOUS = (*FILES, mesh_name(0))
@@ -45,37 +44,15 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
     resumed = arguments.resume is not None and Path(arguments.resume).absolute()
     check_folder(folder, _PRECIOUS, overwrite=arguments.overwrite or resumed == folder.absolute())
     try:
-        job = _gather(arguments, notes)
+        tracking = _gather(arguments, folder, notes)
     except (MemoryError, RuntimeError) as error:
         raise failure(error) from error
     with own_folder(folder):
         notes.release()
-        return _Run(job, folder, notes).complete()
+        return tracking.complete()
 
 
-@dataclass(frozen=True)
-class _Job:
-    """What is tracked; ``first`` is the fit of the first frame."""
-
-    images: ImageSeries
-    first: FitInput
-    done: list[FrameResult]
-    missing_nan: bool
-
-    @property
-    def settings(self) -> TrackRun:
-        """Of the whole."""
-        assert isinstance(self.first.settings, TrackRun)
-        return self.first.settings
-
-    @property
-    def frames(self) -> range:
-        stop = self.settings.track.stop
-        last = len(self.images) if stop is None else min(stop, len(self.images))
-        return range(self.settings.track.first, last)
-
-
-def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
+def _gather(arguments: argparse.Namespace, folder: Path, notes: Notes) -> _Run:
     values = run_values(arguments, notes, TrackRun)
     if str(values.get("seeds")).startswith(f"{AUTO}@"):
         raise InputError(
@@ -101,7 +78,7 @@ def _gather(arguments: argparse.Namespace, notes: Notes) -> _Job:
     image = _seeded(images, first, arguments.missing_nan, notes)
     job = fit_of(settings, image, grid, notes, ground=False)
     done = read_results(arguments.resume) if arguments.resume is not None else []
-    return _Job(images, job, done, arguments.missing_nan)
+    return _Run(images, job, done, arguments.missing_nan, folder, notes)
 
 
 def _seeded(
@@ -109,35 +86,42 @@ def _seeded(
 ) -> NDArray[np.float32]:
     """The frame to which the seeds belong."""
     image = np.asarray(images[first])
-    bad = image.size - int(np.isfinite(image).sum())
-    if bad == image.size:
+    if not np.isfinite(image).any():
         raise InputError(
             f"every voxel of frame {first}, to which the seeds belong, is missing: start from "
             "another one with --frames A:B"
         )
-    if bad and not missing_nan:
-        raise InputError(
-            f"frame {first} holds {bad} voxels that are not finite; --missing-nan leaves them out"
-        )
-    if bad:
-        notes.add(f"{bad} of {image.size} voxels of frame {first} are treated as missing")
-    image, padded = without_padding(finite_or_nan(image))
+    image, padded = without_padding(usable(image, missing_nan, notes, f"frame {first}"))
     if padded:
         notes.add(f"frame {first}: {padded}")
     return image
 
 
+@dataclass
 class _Run:
-    """Tracking under way: its frames, its files, its end."""
+    """Tracking under way: its frames, its files, its end.
 
-    def __init__(self, job: _Job, folder: Path, notes: Notes) -> None:
-        self.job, self.folder, self.notes = job, folder, notes
-        self.results = list(job.done)
-        self.started = time.monotonic()
-        self.alone = False  # whether what an earlier run left in the folder is gone
+    first : the fit of the first frame. results : of the frames done, those of a former run too.
+    """
+
+    images: ImageSeries
+    first: FitInput
+    results: list[FrameResult]
+    missing_nan: bool
+    folder: Path
+    notes: Notes
+    started: float = 0.0  # s, of the clock
+    alone: bool = False  # whether what an earlier run left in the folder is gone
+
+    @property
+    def settings(self) -> TrackRun:
+        """Of the whole."""
+        assert isinstance(self.first.settings, TrackRun)
+        return self.first.settings
 
     def complete(self) -> int:
         """Track to the end, or to that of the user's patience."""
+        self.started = time.monotonic()
         if self.results:  # of a former run, whose folder may be another
             with written_together(self.folder / FILES[-1]):
                 for result in self.results:
@@ -149,12 +133,12 @@ class _Run:
         except KeyboardInterrupt:
             code = INTERRUPTED
         except Exception as error:
-            if self._frames_done():
+            if self.results:
                 self._write(surface=True)
             if isinstance(error, InputError):
                 raise
-            raise failure(error, self.job.first.grid.shape) from error
-        if not self._frames_done():
+            raise failure(error, self.first.grid.shape) from error
+        if not self.results:
             print("interrupted before the first frame was done: nothing to save", file=sys.stderr)
             return code
         for result in self.results:
@@ -168,28 +152,26 @@ class _Run:
         if code:
             words = [PROGRAM, "track", "--settings", self.folder / "run.toml"]
             words += ["--resume", self.folder, "-o", self.folder]
-            words += ["--missing-nan"] if self.job.missing_nan else []
+            words += ["--missing-nan"] if self.missing_nan else []
             print(f"interrupted; to go on: {shlex.join(map(str, words))}", file=sys.stderr)
         return code
 
-    def _frames_done(self) -> bool:
-        return bool(self.results)
-
     def _follow(self) -> None:
-        job, first = self.job, self.job.first
+        first, tracking, done = self.first, self.settings.track, tuple(self.results)
+        stop = len(self.images) if tracking.stop is None else min(tracking.stop, len(self.images))
         states = track(
-            job.images,
+            self.images,
             first.grid,
             first.mesh,
             first.optics,
             first.settings.fit,
-            tracking=job.settings.track,
-            effects=job.settings.scene.effects,
+            tracking=tracking,
+            effects=first.settings.scene.effects,
             shared_ground=first.kind == "image",
-            done=job.done,
+            done=done,
         )
         with Bar(
-            total=len(job.frames), initial=len(job.done), unit="frame", file=sys.stderr
+            total=stop - tracking.first, initial=len(done), unit="frame", file=sys.stderr
         ) as bar:
             for state in states:
                 if state.fit is not None:
@@ -219,13 +201,12 @@ class _Run:
             self.alone = True
 
     def _write(self, *, surface: bool) -> list[Path]:
-        job = self.job
         seconds = time.monotonic() - self.started
         return write_tracks(
             self.folder,
             self.results,
-            job.first.grid,
-            job.settings,
+            self.first.grid,
+            self.settings,
             seconds,
             warnings=self.notes.texts,
             surface=surface,
