@@ -14,6 +14,7 @@ import napari_deltamic as nd
 from napari_deltamic.cli import build_parser
 from napari_deltamic.cli.inputs import gather
 from napari_deltamic.cli.messages import Notes
+from napari_deltamic.fitting.history import History
 from napari_deltamic.fitting.job import FitInput
 from napari_deltamic.geometry import files, sphere
 from napari_deltamic.gui.cell_table import why_of
@@ -22,7 +23,6 @@ from napari_deltamic.gui.viewing.colours import BY_VALUE, region_colours
 from napari_deltamic.gui.viewing.frame import OWN, camera_of
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.cell_columns import COLUMNS
-from napari_deltamic.results.report import History
 from napari_deltamic.results.session_parts import SavedResult
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 
@@ -218,7 +218,7 @@ def of_cells(surface):
 def test_a_button_leads_to_where_the_surface_still_moves(widget, with_image):
     check, record = widget.running, widget.doc.record
     assert check.moving.isHidden()
-    record.state = replace(record.state, moving=(2.9, 1.5, 3.2))
+    record.reached = replace(record.reached, state=replace(record.state, moving=(2.9, 1.5, 3.2)))
     widget.doc.ended.emit()
     assert not check.moving.isHidden()
     with_image.dims.ndisplay = 2
@@ -226,7 +226,7 @@ def test_a_button_leads_to_where_the_surface_still_moves(widget, with_image):
     world = np.add((2.9, 1.5, 3.2), (1, 2, 3))
     assert with_image.dims.point[0] == pytest.approx(world[0], abs=0.2)
     assert camera_of(with_image).center[-2:] == pytest.approx(world[-2:], abs=0.05)
-    record.state = replace(record.state, moving=None)
+    record.reached = replace(record.reached, state=replace(record.state, moving=None))
     widget.doc.ended.emit()
     assert check.moving.isHidden()
 

@@ -226,14 +226,10 @@ class Document:
         """The first state of a run is there: only now that before it is given up."""
         if not self.begun:
             self.begun = True
-            record.words, record.judged = ("", ""), None
+            record.begin(self._fresh)
             if self._fresh:
                 self.meshes_came.emit()
-                record.timeline = Timeline()
-                record.fitted.clear()  # no undo leads back to those
                 self._place_link(record)
-            else:
-                record.timeline.go_on()
             self.began.emit(self._fresh)
 
     def reopen(self, result: SavedResult, job: FitInput) -> Generator[None]:
@@ -243,7 +239,7 @@ class Document:
         """
         self.let_go_rescued()
         record = self.record_for(self.image.frame())
-        record.timeline, record.words = Timeline(result.moments), (result.verdict, result.message)
+        record.reopen(result)
         self.meshes_came.emit()
         self._place_link(record)
         record.link.show_mesh(result.state.mesh)

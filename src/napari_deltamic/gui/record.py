@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..fitting import FitState
 from ..fitting.by_hand import is_again, is_by_hand
+from ..fitting.history import History
 from ..fitting.job import FitInput, following
 from ..measure import measure_cells
 from ..results.judged import Judged
-from ..results.report import History
+from ..results.session_parts import SavedResult
 from ..results.timeline import Timeline
 from .viewing.viewer_link import ViewerLink
 
@@ -28,7 +29,7 @@ class Fitted:
     """What a fit ended with, see ``Record``."""
 
     state: FitState
-    job: FitInput | None
+    job: FitInput
     history: History
     seconds: float
     words: tuple[str, str]
@@ -39,7 +40,7 @@ class Record:
     """What fits of one image have reached.
 
     words : how the last one ended: in a word, and in text.
-    state, job : of the result; None before there is one.
+    reached : the result; None before there is one.
     rows : measurements of its cells.
     judged : how good it is, once that is known.
     fitted : what the last fits ended with, whatever was changed by hand since.
@@ -48,13 +49,20 @@ class Record:
     link: ViewerLink
     timeline: Timeline = field(default_factory=Timeline)
     words: tuple[str, str] = ("", "")
-    state: FitState | None = None
-    job: FitInput | None = None
-    history: History = field(default_factory=History)
-    seconds: float = 0.0
+    reached: Fitted | None = None
     rows: Sequence[Mapping[str, Any]] = ()
     judged: Judged | None = None
     fitted: deque[Fitted] = field(default_factory=lambda: deque(maxlen=_KEPT))
+
+    @property
+    def state(self) -> FitState | None:
+        """Of the result; None before there is one."""
+        return None if self.reached is None else self.reached.state
+
+    @property
+    def job(self) -> FitInput | None:
+        """That led to it."""
+        return None if self.reached is None else self.reached.job
 
     @property
     def by_hand(self) -> bool:
@@ -63,9 +71,22 @@ class Record:
 
     def of_fit(self) -> tuple[FitState, FitInput]:
         """State and job of the result. InputError where there is none."""
-        if self.state is None or self.job is None:
+        if self.reached is None:
             raise InputError("there is no result yet: run a fit first")
-        return self.state, self.job
+        return self.reached.state, self.reached.job
+
+    def begin(self, fresh: bool) -> None:
+        """A fit has begun; whether it has a mesh of its own."""
+        self.words, self.judged = ("", ""), None
+        if fresh:
+            self.timeline = Timeline()
+            self.fitted.clear()  # no undo leads back to those
+        else:
+            self.timeline.go_on()
+
+    def reopen(self, saved: SavedResult) -> None:
+        """Take over how an earlier fit went, and how it ended."""
+        self.timeline, self.words = Timeline(saved.moments), (saved.verdict, saved.message)
 
     def end(self, verdict: str, text: str) -> None:
         self.words = verdict, text
@@ -75,32 +96,31 @@ class Record:
         self.timeline.add(state, note)
         self.link.show_mesh(state.mesh, passing=passing)
 
-    def take(self, state: FitState, job: FitInput | None, history: History, seconds: float) -> None:
+    def take(self, state: FitState, job: FitInput, history: History, seconds: float) -> None:
         """Take a state for the result; of how good it is, nothing is known yet."""
-        self.state, self.job, self.history, self.seconds = state, job, history, seconds
+        self.reached = Fitted(state, job, history, seconds, self.words)
         self.rows, self.judged = measure_cells(state.mesh), None
         if not self.by_hand:
-            self.fitted.append(Fitted(state, job, history, seconds, self.words))
+            self.fitted.append(self.reached)
 
     def take_changed(self, state: FitState, note: str) -> None:
         """Take a state that was changed by hand, or that of a fit where undo leads back to it."""
-        again = [one for one in self.fitted if is_again(state, one.state)]
-        if not again:
-            job = None if self.job is None else following(self.job, state)
-            self.show(state, note)
-            self.take(state, job, self.history, self.seconds)
-            return
-        before = again[-1]
-        state = replace(before.state, pinned=state.pinned)
-        self.fitted.remove(before)
-        self.words = before.words
+        before, again = self.reached, [one for one in self.fitted if is_again(state, one.state)]
+        if again:
+            before = again[-1]
+            state = replace(before.state, pinned=state.pinned)
+            self.fitted.remove(before)
+            self.words = before.words
+        assert before is not None, "what is changed is the result"
+        job = before.job if again else following(before.job, state)
         self.show(state, note)
-        self.take(state, before.job, before.history, before.seconds)
+        self.take(state, job, before.history, before.seconds)
 
     def pin(self, pinned: NDArray[np.bool_]) -> None:
         """Note which vertices of the result are pinned, (V,), for a fit that goes on."""
-        if self.state is not None:
-            self.state = replace(self.state, pinned=pinned)
+        if self.reached is not None:
+            state = replace(self.reached.state, pinned=pinned)
+            self.reached = replace(self.reached, state=state)
 
     def judge(self, judged: Judged) -> None:
         """Take over how good the result is, and what that says of each cell."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import InputError
+from ...fitting.history import History
 from ...fitting.job import FitInput, optics_of
 from ...fitting.model.default_accuracy import usable_choice
-from ...results.report import History
 from ...results.session_file import SavedImage, SavedResult, Session
 from ..document import VIEWS, Document
 from ..record import Record
@@ -82,19 +82,30 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
         viewer.dims.ndisplay = int(view["ndisplay"])
     viewer.add_layer(image)
     doc.image.choose(image)
+    for _ in _shown_with(parts, session, image, seeds, second):
+        yield
+        if _left(doc, image):
+            return
+    if empty:
+        viewer.reset_view()
+
+
+def _shown_with(
+    parts: Parts, session: Session, image: Any, seeds: list[Any], second: Any
+) -> Generator[None]:
+    """What a session has besides the image, which is there already."""
+    doc, viewer, panels = parts.doc, parts.doc.viewer, session.panels
     yield
-    if _left(doc, image):
-        return
     doc.settings.show_fit(session.settings.fit)
-    is_open = bool(session.panels.get("psf_is_open", False))
+    is_open = bool(panels.get("psf_is_open", False))
     doc.settings.show_scene(session.settings.scene, psf_is_open=is_open)
     _show_second(doc, session, second)
     with suppress(ValueError):  # without a name of it the number is shown
-        doc.settings.show_accuracy(usable_choice(session.panels.get("accuracy")))
+        doc.settings.show_accuracy(usable_choice(panels.get("accuracy")))
     # Before the layers: sizes of points follow these fields.
     for name, (_, put) in _fields(parts.seeds).items():
-        if name in session.panels.get("seeds", {}):
-            put(session.panels["seeds"][name])
+        if name in panels.get("seeds", {}):
+            put(panels["seeds"][name])
     for seed in seeds:
         lie_on(seed, image)
         viewer.add_layer(seed)
@@ -102,28 +113,18 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
     if session.result is not None or session.tracks is not None:
         doc.finish_placing.emit(False)  # no preview of the start over its result
     yield
-    if _left(doc, image):
-        return
     if session.tracks is not None:
         parts.tracking.reopen(session.tracks)
         yield
-        if _left(doc, image):
-            return
         # The surface of a fit belongs to the time that is shown when it comes.
-        for axis, step in enumerate(session.panels.get("result_time", ())):
+        for axis, step in enumerate(panels.get("result_time", ())):
             viewer.dims.set_current_step(axis, int(step))
     if session.result is not None:
-        for _ in _show_result(doc, session.result, session):
-            yield
-            if _left(doc, image):
-                return
-    looked = session.panels.get("shown", {}).get("view")
+        yield from _show_result(doc, session.result, session)
+    looked = panels.get("shown", {}).get("view")
     doc.look(looked if looked in VIEWS else "image")
     viewer.layers.selection = {image}
-    for _ in _show_view(viewer, view, fit_camera=empty):
-        yield
-        if _left(doc, image):
-            return
+    yield from _show_view(viewer, panels.get("view", {}))
 
 
 def _left(doc: Document, image: Any) -> bool:
@@ -159,11 +160,11 @@ def _result(doc: Document, frame: Frame) -> tuple[tuple[SavedResult, FitInput] |
     record, present = found
     if record.link.frame != frame:
         return None, _of_another(record)
-    history, seconds = record.history, record.seconds
     verdict, message = record.words
+    course: Any = run if present.running else record.reached
     if present.running:
-        history, seconds = run.history, run.seconds
         verdict, message = "stopped", "saved while the fit was running"
+    history = course.history
     job, known = present.job, min(len(history.loss), len(history.level), len(history.blur))
     saved = SavedResult(
         settings=job.settings,
@@ -172,7 +173,7 @@ def _result(doc: Document, frame: Frame) -> tuple[tuple[SavedResult, FitInput] |
         history=History(
             history.loss[:known], history.level[:known], history.blur[:known], history.first
         ),
-        seconds=seconds,
+        seconds=course.seconds,
         verdict=verdict,
         message=message,
         start=job.mesh,
@@ -238,7 +239,7 @@ def _fields(seeds: Any) -> dict[str, tuple[Callable[[], Any], Callable[[Any], No
     }
 
 
-def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> Generator[None]:
+def _show_view(viewer: Any, shown: dict[str, Any]) -> Generator[None]:
     """Each step of it lets napari draw, which may have its turn where this yields."""
     yield
     if "ndisplay" in shown:
@@ -250,5 +251,3 @@ def _show_view(viewer: Any, shown: dict[str, Any], *, fit_camera: bool) -> Gener
     if len(shown.get("time", ())) == viewer.dims.ndim - 3 > 0:
         viewer.dims.set_point(range(viewer.dims.ndim - 3), [float(p) for p in shown["time"]])
         yield
-    if fit_camera:
-        viewer.reset_view()

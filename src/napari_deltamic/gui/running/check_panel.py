@@ -184,8 +184,8 @@ class CheckPanel(QGroupBox):
         self._show_view()
         self.setTitle(record.link.with_time(_TITLE) if record is not None and shown else _TITLE)
         self._show_time()
-        if ended is not None and ended.state is not None:
-            history = ended.history
+        if ended is not None and ended.reached is not None:
+            history = ended.reached.history
             self.curve.show_losses(history.loss, history.level, history.first)
             self.numbers.show_numbers(moved_numbers(*ended.of_fit()))
         if not shown:

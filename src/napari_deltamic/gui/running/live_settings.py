@@ -30,7 +30,7 @@ class LiveSettings:
         self._fit: FitSettings | None = None  # of the fit, as it was last told
         self._shown: FitSettings | None = None  # what was chosen then
         self._psf = ""  # that was chosen then
-        self._fixed: dict[str, Any] = {}  # what cannot change, by its title
+        self._scene: SceneSettings | None = None  # as it was last looked at
         self._effects = Effects()  # those that were chosen then
         doc.work.changed.connect(self._started)
         doc.began.connect(self._began)
@@ -43,12 +43,12 @@ class LiveSettings:
             return
         settings = self._doc.settings
         self._fit, self._shown, self._psf = None, settings.fit_settings(), settings.psf_key()
-        self._fixed, self._effects = {}, settings.effects
+        self._scene, self._effects = None, settings.effects
         # A fit that goes on from the history has its own image and second view, whatever has become
         # of those in the panels.
         with suppress(InputError):
-            scene = settings.scene_settings()
-            self._fixed, self._effects = _fixed(scene), scene.effects
+            self._scene = settings.scene_settings()
+            self._effects = self._scene.effects
 
     def _began(self, fresh: bool) -> None:
         present = self._doc.present()
@@ -136,10 +136,9 @@ class LiveSettings:
 
     def _tell_fixed(self) -> None:
         """What cannot change on the way is told once."""
-        before, self._fixed = self._fixed, _fixed(self._doc.settings.scene_settings())
-        other = [title for title, value in self._fixed.items() if before.get(title, value) != value]
-        if other:
-            self._doc.noted.emit(f"{' and '.join(other)}: used from the next run on")
+        before, self._scene = self._scene, self._doc.settings.scene_settings()
+        if before is not None and before.effects.view != self._scene.effects.view:
+            self._doc.noted.emit(f"{kind_of(ViewEffect).title}: used from the next run on")
 
     def _undone(self, back: Change) -> None:
         # It fails where the image or the second view have changed since.
@@ -157,10 +156,6 @@ class LiveSettings:
         if back.effects is not None:
             settings.show_effects(back.effects)
             self._effects = settings.scene_settings().effects
-
-
-def _fixed(scene: SceneSettings) -> dict[str, Any]:
-    return {kind_of(ViewEffect).title: scene.effects.view}
 
 
 def _words(name: str, value: Any) -> str:

@@ -127,9 +127,8 @@ class TrackPanel(QGroupBox):
         image, images = self._doc.image, Frames(tracks.pixels)
         frame, tracking = image.frame(), tracks.settings.track
         job = _reopened(tracks, frame, images)
-        left = range(tracking.first, len(images))
-        work = self.work = self._made(lambda: job, images, left, tracks.results)
-        work.job, work.seconds, work.running = job, tracks.seconds, False
+        told = self._frame_done, self._ended
+        self.work = TrackWork.of_session(job, images, tracks, *told)
         self.divisions.setChecked(tracking.divisions)
         self._show_in(image.layer, frame).show(tracks.results)
         self._end("done", f"{counted(len(tracks.results), 'time point')} tracked")
@@ -174,21 +173,17 @@ class TrackPanel(QGroupBox):
         values = {**dict(run), "image": path, "channel": channel, "track": tracking}
         return validated(TrackRun, values)
 
-    def _launch(self, *what: Any) -> None:
-        """Start a run of what :meth:`_made` takes."""
-        self.work = self._made(*what)
-        self.verdict.say("", "")
-        self.worst_button.hide()
-        self._doc.work.start(self.work)
-
-    def _made(
+    def _launch(
         self,
         prepare: Callable[[], FitInput | None],
         images: Frames,
         frames: range,
         done: Sequence[FrameResult],
-    ) -> TrackWork:
-        return TrackWork(prepare, images, frames, done, self._frame_done, self._ended)
+    ) -> None:
+        self.work = TrackWork(prepare, images, frames, done, self._frame_done, self._ended)
+        self.verdict.say("", "")
+        self.worst_button.hide()
+        self._doc.work.start(self.work)
 
     def _show_in(self, image_layer: Any, frame: Frame) -> TrackLayers:
         """Layers of an earlier run give way, or two surfaces would lie on each other."""

@@ -12,6 +12,7 @@ from ...common.doing import listening
 from ...common.words import counted
 from ...fitting.job import FitInput
 from ...results.judged import judged_frame
+from ...results.session_parts import SavedTracks
 from ...results.timeline import explained
 from ...runs.track_run import TrackRun
 from ...tracking import FrameResult, track
@@ -76,6 +77,21 @@ class TrackWork(Task):
         self.results: list[FrameResult] = list(done)
         self.seconds = 0.0
         self.stage = "preparing the seeds"
+
+    @classmethod
+    def of_session(
+        cls,
+        job: FitInput | None,
+        images: Frames,
+        tracks: SavedTracks,
+        on_frame: Callable[[Sequence[FrameResult]], None],
+        on_end: Callable[[Outcome], None],
+    ) -> TrackWork:
+        """One that a session kept, as if it had just ended; job : of its first frame."""
+        left = range(tracks.settings.track.first, len(images))
+        work = cls(lambda: job, images, left, tracks.results, on_frame, on_end)
+        work.job, work.seconds, work.running = job, tracks.seconds, False
+        return work
 
     @property
     def settings(self) -> TrackRun:
