@@ -133,11 +133,21 @@ def saved(path, array):
     return path
 
 
+def with_hole(movie):
+    movie = movie.astype(np.float32)
+    movie[0, 1, 2, 3] = np.nan
+    return movie
+
+
 REFUSED = {
     "3D": (lambda s, t: saved(t / "a.npy", np.load(s / "movie.npy")[0]), "single 3D image"),
     "one frame": (lambda s, t: saved(t / "a.npy", np.load(s / "movie.npy")[:1]), "two frames"),
     "missing": (lambda s, t: t / "none.tif", "no such file"),
     "NaN": (lambda s, t: saved(t / "a.npy", np.full((3, *SHAPE), np.nan)), "is missing"),
+    "a hole": (
+        lambda s, t: saved(t / "a.npy", with_hole(np.load(s / "movie.npy"))),
+        "frame 0 holds 1 NaN voxel; --missing-nan leaves them out",
+    ),
 }
 
 
