@@ -12,13 +12,16 @@ SIZE = (0.2, 0.2, 0.2)
 IMAGE = np.random.default_rng(0).poisson(20, (24, 24, 40)).astype(np.float32)
 
 
-def seconds(choice, monkeypatch, gap):
+def looked_at(choice, monkeypatch, gap, image=IMAGE):
     labels = np.zeros(IMAGE.shape, np.int32)
     labels[6:18, 6:18, 6 : 20 - gap], labels[6:18, 6:18, 20:34] = 1, 2
     monkeypatch.setattr(outlook, "costs", lambda measure=False: BUILT_IN)
     given = SceneSettings(voxel_size=SIZE, sigma=SIZE), FitSettings(), LabelSeeds(labels), None
-    found = outlook.outlook(outlook.SceneNow(choice, IMAGE, Grid(IMAGE.shape, SIZE), *given))
-    return found.forecast.seconds
+    return outlook.outlook(outlook.SceneNow(choice, image, Grid(image.shape, SIZE), *given))
+
+
+def seconds(choice, monkeypatch, gap):
+    return looked_at(choice, monkeypatch, gap).forecast.seconds
 
 
 def test_quick_is_expected_to_try_no_other_neighbours(monkeypatch):
@@ -26,3 +29,17 @@ def test_quick_is_expected_to_try_no_other_neighbours(monkeypatch):
         seconds("quick", monkeypatch, gap) / seconds("normal", monkeypatch, gap) for gap in (0, 3)
     )
     assert touching < 0.9 * apart
+
+
+def test_a_length_stands_for_the_accuracy_that_a_fit_would_take(monkeypatch):
+    image = np.zeros(IMAGE.shape, np.float32)
+    image[6:18, 6:18, 6:34] = 1.0
+    accuracy = {
+        choice: looked_at(choice, monkeypatch, 3, image).accuracy
+        for choice in ("3 nm", "normal", "200 nm")
+    }
+    assert accuracy["3 nm"] == accuracy["normal"] < accuracy["200 nm"]
+
+
+def test_a_number_is_taken_as_it_is(monkeypatch):
+    assert looked_at("0.005", monkeypatch, 3).accuracy == 0.005

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..fitting.job import FitInput, optics_of
-from ..fitting.model.default_accuracy import accuracy_of, image_noise
-from ..fitting.shape_dial import with_trials
+from ..fitting.job import FitInput, completed, optics_of
+from ..fitting.model.default_accuracy import accuracy_of, image_noise, is_length
+from ..fitting.shape_dial import Situation, dialled
 from ..geometry import Mesh
 from ..optics import Optics
+from ..runs.fit_settings import SHAPE_CHOICES
 from ..runs.seeds import Seeds
-from ..runs.settings import NEAR_LEVELS, FitSettings, SceneSettings
+from ..runs.settings import FitSettings, SceneSettings
 from ..scene import Grid
 from .forecast import Forecast, forecast
 from .machine_costs import costs
@@ -71,18 +72,17 @@ def outlook(scene: SceneNow) -> Outlook:
     known = costs(measure=True)
     pixels = scene.pixels()
     noise = image_noise(pixels)
-    accuracy = accuracy_of(scene.choice, noise)
-    trials = scene.settings.trials and with_trials(scene.choice)
-    found: dict[str, Any] = {"accuracy": accuracy, "trials": trials}
-    if scene.seeds.kind != "rough" and scene.settings.levels is None:
-        found["levels"] = NEAR_LEVELS
-    settings = scene.settings.model_copy(update=found)
+    start, optics = rough_surfaces(scene.seeds, scene.grid, scene.known), scene.optics
+    of_shape = scene.choice in SHAPE_CHOICES or is_length(scene.choice)  # else of images alone
+    found = {"accuracy": None if of_shape else accuracy_of(scene.choice, noise)}
+    now = Situation.of(start.mesh, scene.grid, optics.sigma_um, noise)
+    wanted = dialled(scene.choice.replace(" ", "") if of_shape else "normal", now)
+    settings = completed(scene.settings.model_copy(update=found), wanted, scene.seeds.kind)
     effects = scene.scene.effects
-    start = rough_surfaces(scene.seeds, scene.grid, scene.known)
     expected = forecast(
-        pixels, scene.grid, start.mesh, scene.optics, settings, None, effects, known, start.touching
+        pixels, scene.grid, start.mesh, optics, settings, None, effects, known, start.touching
     )
-    return Outlook(noise, accuracy, expected)
+    return Outlook(noise, settings.image_accuracy, expected)
 
 
 def expected(job: FitInput) -> Forecaster | None:

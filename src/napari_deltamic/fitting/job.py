@@ -24,7 +24,7 @@ from . import FitState, counted_voxels, fit
 from .model.checks import without_hot
 from .model.default_accuracy import image_noise
 from .rivals.found_psf import settings_of
-from .shape_dial import Situation, dialled, with_edges
+from .shape_dial import Dialled, Situation, dialled, with_edges
 from .voxels.voxel_ownership import counted_around
 
 
@@ -132,29 +132,34 @@ def assemble(
     second: NDArray[Any] | None = None,
 ) -> FitInput:
     """Everything that a fit needs; what the settings leave open follows from seeds and noise."""
-    found: dict[str, Any] = {}
-    if kind != "rough" and settings.fit.levels is None:
-        found["levels"] = NEAR_LEVELS
     optics = optics_of(settings.scene)
     level = levelled(image, grid, settings.scene.effects)
     now = Situation.of(mesh, grid, optics.sigma_um, image_noise(level))
     wanted = dialled(settings.fit.shape_error, now)
     mesh = with_edges(mesh, wanted.edge)
-    if settings.fit.accuracy is None:
-        found["accuracy"] = wanted.accuracy
-    if settings.fit.flatness is None:
-        found["flatness"] = wanted.flatness
-    if settings.fit.tolerance == FitSettings().tolerance:
-        found["tolerance"] = wanted.tolerance
-    if settings.fit.trials:
-        found["trials"] = wanted.trials
-    settings = settings.model_copy(update={"fit": settings.fit.model_copy(update=found)})
+    settings = settings.model_copy(update={"fit": completed(settings.fit, wanted, kind)})
     doing("finding which voxels belong to the cells")
     ground = counted_around if kind == "rough" else counted_voxels
     counted = ground(level, grid, mesh, optics)
     return FitInput(
         settings, image, grid, mesh, optics, counted, second, kind, predicted=wanted.predicted
     )
+
+
+def completed(fit: FitSettings, wanted: Dialled, kind: SeedKind) -> FitSettings:
+    """Settings of which nothing is left open: the dial and the kind of the seeds decide."""
+    found: dict[str, Any] = {}
+    if kind != "rough" and fit.levels is None:
+        found["levels"] = NEAR_LEVELS
+    if fit.accuracy is None:
+        found["accuracy"] = wanted.accuracy
+    if fit.flatness is None:
+        found["flatness"] = wanted.flatness
+    if fit.tolerance == FitSettings().tolerance:
+        found["tolerance"] = wanted.tolerance
+    if fit.trials:
+        found["trials"] = wanted.trials
+    return fit.model_copy(update=found)
 
 
 def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]:

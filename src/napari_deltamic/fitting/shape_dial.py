@@ -218,14 +218,10 @@ def dialled(choice: str, now: Situation) -> Dialled:
             edge = min(edge, now.edge_for(s.careful_share * now.floor()))
             tolerance, flatness = s.careful_tolerance, s.careful_share * now.floor() / s.triangles
     predicted = now.predicted(edge, accuracy, tolerance)
+    trials = choice != "quick" or RULES.quick_trials
     if flatness is not None:
         flatness = float(f"{max(flatness, s.flattest * now.width):.2g}")
-    return Dialled(edge, accuracy, tolerance, predicted, with_trials(choice), flatness)
-
-
-def with_trials(choice: str) -> bool:
-    """Whether other neighbours are tried at the end."""
-    return choice != "quick" or RULES.quick_trials
+    return Dialled(edge, accuracy, tolerance, predicted, trials, flatness)
 
 
 def _for_length(asked: float, now: Situation) -> tuple[float, float, float, float]:
