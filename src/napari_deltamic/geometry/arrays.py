@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic.errors import InputError
+from ..errors import InputError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
+from .mesh import OUTSIDE, Mesh
 
 
 class ImageGrid(Protocol):

@@ -8,7 +8,7 @@ from types import ModuleType
 def native() -> ModuleType | None:
     """The compiled extension, or None where it is missing."""
     try:
-        from napari_deltamic.geometry import _remesh  # type: ignore[attr-defined]
+        from . import _remesh  # type: ignore[attr-defined]
     except ImportError:
         return None
     return _remesh

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from napari_deltamic.errors import InputError
-
+from ..errors import InputError
 from .arrays import IntArray, checked_integers
 from .pairs import unique_pairs
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.meshes import surfaces_of_labels
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.primitives import sphere
-from napari_deltamic.geometry.remeshing import can_remesh
+from ..errors import InputError
+from .labels.meshes import surfaces_of_labels
+from .mesh import FloatArray, IntArray, Mesh
+from .primitives import sphere
+from .remeshing import can_remesh
 
 _VOXELS_PER_EDGE = 2.5  # fine enough that walls come out smooth
 _MAX_VOXELS = 60_000_000  # a typing error in edge_length would fill the memory: 0.7 GB

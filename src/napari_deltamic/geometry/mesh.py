@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from napari_deltamic.errors import InputError
-
+from ..errors import InputError
 from .arrays import FloatArray, IntArray, checked_vertices, is_tensor, to_numpy
 from .connectivity import OUTSIDE, Connectivity
 from .trimesh_exchange import from_trimesh, to_trimesh

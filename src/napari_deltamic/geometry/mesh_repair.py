@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.arrays import FloatArray, IntArray, to_numpy
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
-from napari_deltamic.geometry.windings import fix_windings
+from ..errors import InputError
+from .arrays import FloatArray, IntArray, to_numpy
+from .connected import connected
+from .mesh import OUTSIDE, Mesh
+from .windings import fix_windings
 
 MERGE_TOLERANCE = 1e-9  # of the box's diagonal: 0.1 picometre in 100 um is only rounding
 FLAT_TOLERANCE = 1e-12  # height of a triangle over its longest edge

@@ -7,8 +7,8 @@ from math import ceil, pi, sqrt
 
 import numpy as np
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh, _triple
+from ..errors import InputError
+from .mesh import FloatArray, IntArray, Mesh, _triple
 
 MAX_FACES = 5_000_000  # a typing error in edge_length would fill the memory
 _ICOSAHEDRON_EDGE = 1.0514622242382672  # exact, for a circumscribed radius of 1

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from napari_deltamic.errors import InputError
+from ..errors import InputError
 
 
 @dataclass(frozen=True)

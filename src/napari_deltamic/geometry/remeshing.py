@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.compiled import native
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.topology.crossings import crosses, crossings
+from ..errors import InputError
+from .compiled import native
+from .mesh import FloatArray, IntArray, Mesh
+from .topology.crossings import crosses, crossings
 
 _TOUCH = 1e-6  # of the wanted length: surfaces as near to each other touch
 # Of the longest edge, around what has come to cross: operations are looked at, and faces with which

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_deltamic.common.reading import one_reason, read_text, reading
-from napari_deltamic.errors import InputError, RepairWarning
-from napari_deltamic.geometry.foam import spheres_of_foam
-from napari_deltamic.geometry.labels.basins import label_basins
-from napari_deltamic.geometry.labels.meshes import EDGE_IN_VOXELS, edge_within, surfaces_of_labels
-from napari_deltamic.geometry.labels.regions_at_points import regions_at
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.refused import Refused, told
-from napari_deltamic.geometry.three_numbers import three_numbers
-from napari_deltamic.images.missing import unmasked
+from ..common.reading import one_reason, read_text, reading
+from ..errors import InputError, RepairWarning
+from ..images.missing import unmasked
+from .foam import spheres_of_foam
+from .labels.basins import label_basins
+from .labels.meshes import EDGE_IN_VOXELS, edge_within, surfaces_of_labels
+from .labels.regions_at_points import regions_at
+from .mesh import FloatArray, IntArray, Mesh
+from .refused import Refused, told
+from .three_numbers import three_numbers
 
 Triple = Sequence[float]
 FEWEST_SLICES = 3  # along each axis: else a region has no voxel with a crest on either side

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.mesh import FloatArray
+from ..errors import InputError
+from .mesh import FloatArray
 
 
 def three_numbers(

@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import (
     connected_components,
 )
 
-from napari_deltamic.errors import RepairWarning
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from ..errors import RepairWarning
+from .mesh import OUTSIDE, FloatArray, IntArray, Mesh
 
 BoolArray = NDArray[np.bool_]
 Links = tuple[IntArray, IntArray, IntArray]  # first, second, +1: turn both or neither; -1: one

@@ -1,22 +1,13 @@
 """Measurements on meshes: cells, junctions, sections, distances to a surface."""
 
-from napari_deltamic.common.table import Column, Table
-from napari_deltamic.measure.cells import measure_cells
-from napari_deltamic.measure.junctions import Junction, junction_angles
-from napari_deltamic.measure.known import Known
-from napari_deltamic.measure.measurements import Measurements, measure
-from napari_deltamic.measure.section import section
-from napari_deltamic.measure.surface_distance import (
-    SurfaceDistance,
-    distance_to_surface,
-    surface_distance,
-)
-from napari_deltamic.measure.tensions import (
-    Estimate,
-    TensionSettings,
-    relative_pressures,
-    relative_tensions,
-)
+from ..common.table import Column, Table
+from .cells import measure_cells
+from .junctions import Junction, junction_angles
+from .known import Known
+from .measurements import Measurements, measure
+from .section import section
+from .surface_distance import SurfaceDistance, distance_to_surface, surface_distance
+from .tensions import Estimate, TensionSettings, relative_pressures, relative_tensions
 
 __all__ = [
     "Column",

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from napari_deltamic.common.table import Table, Value, columns, notes, table_of
-from napari_deltamic.geometry.border import cut_cells
-from napari_deltamic.geometry.contacts import contact_areas, neighbours, wall_areas
-from napari_deltamic.geometry.mesh import OUTSIDE
-from napari_deltamic.measure.cells import measure_cells, moments, principal_axes
-from napari_deltamic.measure.discrete_curvature import cell_curvature
-from napari_deltamic.measure.known import Known
-from napari_deltamic.measure.sides import Sides
-from napari_deltamic.measure.standard_errors import error_columns
-from napari_deltamic.measure.tensions import Estimate
+from ..common.table import Table, Value, columns, notes, table_of
+from ..geometry.border import cut_cells
+from ..geometry.contacts import contact_areas, neighbours, wall_areas
+from ..geometry.mesh import OUTSIDE
+from .cells import measure_cells, moments, principal_axes
+from .discrete_curvature import cell_curvature
+from .known import Known
+from .sides import Sides
+from .standard_errors import error_columns
+from .tensions import Estimate
 
 CELL_COLUMNS = (
     *columns(

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from napari_deltamic.common.table import Table, Value, columns, notes, table_of
-from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
-from napari_deltamic.measure.discrete_curvature import WallCurvature
-from napari_deltamic.measure.junctions import Junction, junction_lengths
-from napari_deltamic.measure.known import Known
-from napari_deltamic.measure.standard_errors import error_columns
-from napari_deltamic.measure.tensions import Estimate, Pair, walls_around
+from ..common.table import Table, Value, columns, notes, table_of
+from ..geometry.mesh import OUTSIDE, Mesh
+from .discrete_curvature import WallCurvature
+from .junctions import Junction, junction_lengths
+from .known import Known
+from .standard_errors import error_columns
+from .tensions import Estimate, Pair, walls_around
 
 WALL_COLUMNS = (
     *columns(

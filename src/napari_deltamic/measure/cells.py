@@ -6,9 +6,9 @@ from math import nan, pi
 
 import numpy as np
 
-from napari_deltamic.geometry.contacts import neighbours
-from napari_deltamic.geometry.mesh import FloatArray, Mesh
-from napari_deltamic.measure.sides import Sides
+from ..geometry.contacts import neighbours
+from ..geometry.mesh import FloatArray, Mesh
+from .sides import Sides
 
 COLUMNS = (
     "region",

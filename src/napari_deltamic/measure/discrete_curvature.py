@@ -19,9 +19,9 @@ from math import nan
 
 import numpy as np
 
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.measure.sides import Sides
+from ..geometry.connected import connected
+from ..geometry.mesh import FloatArray, IntArray, Mesh
+from .sides import Sides
 
 
 @dataclass(frozen=True, eq=False)

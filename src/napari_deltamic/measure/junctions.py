@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from ..errors import InputError
+from ..geometry.mesh import FloatArray, IntArray, Mesh
 
 _FLAT = 1e-14  # of the largest moment of points: none
 # Inverse of the quadratic form B^2 + C^2 - 4 A D.

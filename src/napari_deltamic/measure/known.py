@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.border import ImageGrid
-from napari_deltamic.geometry.judgement import Judgement
-from napari_deltamic.geometry.mesh import FloatArray, Mesh
-from napari_deltamic.geometry.replicas import Replicas
+from ..errors import InputError
+from ..geometry.border import ImageGrid
+from ..geometry.judgement import Judgement
+from ..geometry.mesh import FloatArray, Mesh
+from ..geometry.replicas import Replicas
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from napari_deltamic.common.table import Table
-from napari_deltamic.geometry.border import beyond
-from napari_deltamic.geometry.mesh import Mesh
-from napari_deltamic.measure.all_cells import cells_table
-from napari_deltamic.measure.all_walls import junctions_table, walls_table
-from napari_deltamic.measure.discrete_curvature import wall_curvature
-from napari_deltamic.measure.junctions import angle_reach, junction_angles
-from napari_deltamic.measure.known import Known
-from napari_deltamic.measure.sides import Sides
-from napari_deltamic.measure.standard_errors import with_errors
-from napari_deltamic.measure.tensions import (
-    TensionSettings,
-    relative_pressures,
-    relative_tensions,
-)
+from ..common.table import Table
+from ..geometry.border import beyond
+from ..geometry.mesh import Mesh
+from .all_cells import cells_table
+from .all_walls import junctions_table, walls_table
+from .discrete_curvature import wall_curvature
+from .junctions import angle_reach, junction_angles
+from .known import Known
+from .sides import Sides
+from .standard_errors import with_errors
+from .tensions import TensionSettings, relative_pressures, relative_tensions
 
 
 @dataclass(frozen=True)

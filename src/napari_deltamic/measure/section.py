@@ -6,8 +6,8 @@ from math import isfinite
 
 import numpy as np
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from ..errors import InputError
+from ..geometry.mesh import FloatArray, IntArray, Mesh
 
 
 def section(mesh: Mesh, axis: int, position: float) -> tuple[FloatArray, IntArray]:

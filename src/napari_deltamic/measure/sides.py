@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from ..geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from napari_deltamic.common.table import Column, Row, Table, Value
-from napari_deltamic.geometry.mesh import FloatArray, Mesh
-from napari_deltamic.geometry.replicas import Replicas
+from ..common.table import Column, Row, Table, Value
+from ..geometry.mesh import FloatArray, Mesh
+from ..geometry.replicas import Replicas
 
 Tables = tuple[Table, ...]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from ..errors import InputError
+from ..geometry.mesh import FloatArray, IntArray, Mesh
 
 # Point-triangle pairs at a time, and parts of triangles: each takes some 100 bytes, and more would
 # not be faster.

@@ -19,9 +19,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray
-from napari_deltamic.measure.junctions import Junction
+from ..errors import InputError
+from ..geometry.mesh import OUTSIDE, FloatArray
+from .junctions import Junction
 
 Pair = tuple[int, int]  # of regions, the larger number first
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from napari_deltamic.common.reading import one_reason, quiet
-from napari_deltamic.common.writing import write_atomically
-from napari_deltamic.errors import InputError, RepairWarning
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.formats import MESH_FILES, MESH_FORMATS, MeshFormat, mesh_format
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
-from napari_deltamic.geometry.mesh_repair import counted, repair
+from ...common.reading import one_reason, quiet
+from ...common.writing import write_atomically
+from ...errors import InputError, RepairWarning
+from ..connected import connected
+from ..formats import MESH_FILES, MESH_FORMATS, MeshFormat, mesh_format
+from ..mesh import OUTSIDE, FloatArray, Mesh
+from ..mesh_repair import counted, repair
+from .raw import RawMesh
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:

@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.mesh_repair import counted
+from ...errors import InputError
+from ..mesh import FloatArray, IntArray
+from ..mesh_repair import counted
+from .raw import RawMesh
 
 _GROUP = re.compile(r"region_(\d+)_(\d+)")
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.files.with_trimesh import read_with_trimesh
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.trimesh_exchange import outward
+from ..mesh import FloatArray, IntArray
+from ..trimesh_exchange import outward
+from .raw import RawMesh
+from .with_trimesh import read_with_trimesh
 
 
 def read_off(data: bytes) -> RawMesh:

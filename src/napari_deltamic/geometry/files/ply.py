@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.files.with_trimesh import read_with_trimesh
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
+from ...errors import InputError
+from ..mesh import FloatArray, IntArray
+from .raw import RawMesh
+from .with_trimesh import read_with_trimesh
 
 _LARGEST = np.iinfo(np.int32).max  # region that integers of files hold
 

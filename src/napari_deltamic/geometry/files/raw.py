@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
+from ..mesh import FloatArray, IntArray
 
 
 class RawMesh(NamedTuple):

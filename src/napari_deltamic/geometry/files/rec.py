@@ -11,10 +11,10 @@ import struct
 
 import numpy as np
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.mesh_repair import counted
+from ...errors import InputError
+from ..mesh import FloatArray, IntArray
+from ..mesh_repair import counted
+from .raw import RawMesh
 
 _FACE = np.dtype([("corners", "<u8", 3), ("regions", "<i4", 2)])  # by definition of the format
 

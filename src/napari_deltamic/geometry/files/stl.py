@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.files.with_trimesh import read_with_trimesh
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.trimesh_exchange import outward
+from ..mesh import FloatArray, IntArray
+from ..trimesh_exchange import outward
+from .raw import RawMesh
+from .with_trimesh import read_with_trimesh
 
 
 def read_stl(data: bytes) -> RawMesh:

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.files.raw import RawMesh
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.mesh_repair import counted
+from ...errors import InputError
+from ..mesh import FloatArray, IntArray
+from ..mesh_repair import counted
+from .raw import RawMesh
 
 _TYPES = {
     "unsigned_char": "u1",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from napari_deltamic.geometry.files.raw import RawMesh
+from .raw import RawMesh
 
 
 def read_with_trimesh(data: bytes, kind: str) -> tuple[RawMesh, Any]:

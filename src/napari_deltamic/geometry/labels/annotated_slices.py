@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from napari_deltamic.geometry.mesh import FloatArray
+from ..mesh import FloatArray
 
 Labels = NDArray[np.int32]
 

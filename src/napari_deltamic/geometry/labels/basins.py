@@ -19,10 +19,10 @@ from scipy import ndimage
 from skimage.measure import block_reduce
 from skimage.segmentation import watershed
 
-from napari_deltamic.geometry.labels.cell_rules import BASINS
-from napari_deltamic.geometry.labels.flood_tree import Ranks, flood_tree
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.refused import Refused
+from ..mesh import FloatArray, IntArray
+from ..refused import Refused
+from .cell_rules import BASINS
+from .flood_tree import Ranks, flood_tree
 
 Mask = NDArray[np.bool_]
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from skimage.transform import downscale_local_mean
 
-from napari_deltamic.common.triple import geometric_mean
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
+from ...common.triple import geometric_mean
+from ..mesh import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from skimage.filters import threshold_li, threshold_otsu
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.bright_things import (
+from ...errors import InputError
+from .bright_things import (
     Smoothed,
     bright_things,
     ended,
@@ -31,13 +31,13 @@ from napari_deltamic.geometry.labels.bright_things import (
     typical_diameter,
     unexplained,
 )
-from napari_deltamic.geometry.labels.cell_sizes import SizeFound, likeliest, suggest_sizes
-from napari_deltamic.geometry.labels.cells_in_haze import cells_in_haze
-from napari_deltamic.geometry.labels.checked_image import checked_image, positive_size
-from napari_deltamic.geometry.labels.crowded_cells import crowded_cells, without_halves
-from napari_deltamic.geometry.labels.dark_walls import without_bright_walls, without_parted
-from napari_deltamic.geometry.labels.find_cells import WalledCells, walled_cells
-from napari_deltamic.geometry.labels.region_merging import Labels
+from .cell_sizes import SizeFound, likeliest, suggest_sizes
+from .cells_in_haze import cells_in_haze
+from .checked_image import checked_image, positive_size
+from .crowded_cells import crowded_cells, without_halves
+from .dark_walls import without_bright_walls, without_parted
+from .find_cells import WalledCells, walled_cells
+from .region_merging import Labels
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from scipy import ndimage
 from skimage.morphology import h_maxima
 from skimage.segmentation import watershed
 
-from napari_deltamic.geometry.labels.region_merging import Image, Labels
-from napari_deltamic.geometry.labels.solidity import solidity
-from napari_deltamic.geometry.mesh import FloatArray
+from ..mesh import FloatArray
+from .region_merging import Image, Labels
+from .solidity import solidity
 
 
 @dataclass(frozen=True)

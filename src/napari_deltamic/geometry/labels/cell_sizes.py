@@ -8,15 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from napari_deltamic.common.triple import geometric_mean
-from napari_deltamic.geometry.labels.cell_rules import FINDING
-from napari_deltamic.geometry.labels.checked_image import checked_image
-from napari_deltamic.geometry.labels.clear_rims import noise_magnitudes
-from napari_deltamic.geometry.labels.find_cells import (
-    Seen,
-    regions_of_size,
-)
-from napari_deltamic.geometry.mesh import FloatArray
+from ...common.triple import geometric_mean
+from ..mesh import FloatArray
+from .cell_rules import FINDING
+from .checked_image import checked_image
+from .clear_rims import noise_magnitudes
+from .find_cells import Seen, regions_of_size
 
 
 @dataclass(frozen=True)

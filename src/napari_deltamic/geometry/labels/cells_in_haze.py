@@ -15,15 +15,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.filters import threshold_otsu
 
-from napari_deltamic.geometry.labels.bright_things import (
-    Smoothed,
-    bright_things,
-    smoothed,
-    typical_diameter,
-    unexplained,
-)
-from napari_deltamic.geometry.labels.crowded_cells import blob_answers
-from napari_deltamic.geometry.labels.solidity import solidity
+from .bright_things import Smoothed, bright_things, smoothed, typical_diameter, unexplained
+from .crowded_cells import blob_answers
+from .solidity import solidity
 
 
 @dataclass(frozen=True)

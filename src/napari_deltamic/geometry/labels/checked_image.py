@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from napari_deltamic.common.triple import geometric_mean
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.cell_rules import FINDING
-from napari_deltamic.geometry.labels.region_merging import Image
-from napari_deltamic.geometry.mesh import FloatArray
-from napari_deltamic.geometry.three_numbers import three_numbers
-from napari_deltamic.images.missing import filled, unmasked
+from ...common.triple import geometric_mean
+from ...errors import InputError
+from ...images.missing import filled, unmasked
+from ..mesh import FloatArray
+from ..three_numbers import three_numbers
+from .cell_rules import FINDING
+from .region_merging import Image
 
 Mask = NDArray[np.bool_]
 _GAP = np.ones((3, 3, 3), bool)  # chosen: narrower ones are bridged

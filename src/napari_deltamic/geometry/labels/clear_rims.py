@@ -13,15 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from napari_deltamic.geometry.labels.cell_rules import FINDING
-from napari_deltamic.geometry.labels.region_merging import (
-    Image,
-    Labels,
-    dark_half,
-    faces_between,
-)
-from napari_deltamic.geometry.mesh import FloatArray
-from napari_deltamic.images.missing import filled
+from ...images.missing import filled
+from ..mesh import FloatArray
+from .cell_rules import FINDING
+from .region_merging import Image, Labels, dark_half, faces_between
 
 _SECOND = np.array([0.5, -1.0, 0.5]) / 1.5**0.5  # so that white noise keeps its variance
 _WHITE = -2 / 3  # by definition, the correlation of neighbours that it leaves of white noise

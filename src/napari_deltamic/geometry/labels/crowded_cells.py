@@ -17,12 +17,12 @@ from scipy import ndimage
 from skimage.morphology import h_maxima
 from skimage.segmentation import watershed
 
-from napari_deltamic.geometry.contacts import label_contacts
-from napari_deltamic.geometry.labels.find_cells import coarsened_image, compressed_walls
-from napari_deltamic.geometry.labels.region_merging import Image, Labels
-from napari_deltamic.geometry.labels.solidity import solidity
-from napari_deltamic.geometry.labels.voxels import box_around
-from napari_deltamic.geometry.mesh import FloatArray
+from ..contacts import label_contacts
+from ..mesh import FloatArray
+from .find_cells import coarsened_image, compressed_walls
+from .region_merging import Image, Labels
+from .solidity import solidity
+from .voxels import box_around
 
 
 @dataclass(frozen=True)

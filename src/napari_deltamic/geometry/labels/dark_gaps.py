@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from napari_deltamic.geometry.mesh import IntArray
-from napari_deltamic.geometry.pairs import unique_pairs
+from ..mesh import IntArray
+from ..pairs import unique_pairs
 
 # Of the brightness of the cells beside it, above that of the ground: what is brighter is a line
 # that a segmentation has left, a membrane, or where cells touch. Measured in lines: 0.71 to 0.78

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.segmentation import relabel_sequential
 
-from napari_deltamic.geometry.labels.region_merging import Image, Labels
-from napari_deltamic.geometry.labels.solidity import solidity
-from napari_deltamic.geometry.labels.voxels import box_around
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.pairs import unique_pairs
+from ..mesh import FloatArray, IntArray
+from ..pairs import unique_pairs
+from .region_merging import Image, Labels
+from .solidity import solidity
+from .voxels import box_around
 
 
 @dataclass(frozen=True)

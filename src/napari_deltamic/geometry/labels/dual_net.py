@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
+from ...errors import InputError
+from ..mesh import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from napari_deltamic.geometry.labels.region_merging import Image, Labels, dark_half
-from napari_deltamic.geometry.mesh import FloatArray
+from ..mesh import FloatArray
+from .region_merging import Image, Labels, dark_half
 
 _DIRECTIONS = 32  # chosen: few enough that the mean over each is clear of noise
 _HIGH = 0.75  # of all directions, the quantile that counts as the height of a wall; chosen

@@ -18,19 +18,15 @@ from scipy import ndimage
 from skimage.morphology import local_minima
 from skimage.segmentation import watershed
 
-from napari_deltamic.errors import NoCellsFound
-from napari_deltamic.geometry.labels.basins import border_area, noise_after, noise_gain
-from napari_deltamic.geometry.labels.cell_rules import FINDING
-from napari_deltamic.geometry.labels.checked_image import (
-    Mask,
-    checked_image,
-    checked_size,
-)
-from napari_deltamic.geometry.labels.clear_rims import clear_rims, noise_magnitudes
-from napari_deltamic.geometry.labels.even_walls import even_walls
-from napari_deltamic.geometry.labels.region_merging import Image, Labels, Regions, join_regions
-from napari_deltamic.geometry.labels.solidity import solidity
-from napari_deltamic.geometry.mesh import FloatArray
+from ...errors import NoCellsFound
+from ..mesh import FloatArray
+from .basins import border_area, noise_after, noise_gain
+from .cell_rules import FINDING
+from .checked_image import Mask, checked_image, checked_size
+from .clear_rims import clear_rims, noise_magnitudes
+from .even_walls import even_walls
+from .region_merging import Image, Labels, Regions, join_regions
+from .solidity import solidity
 
 
 def find_cells(

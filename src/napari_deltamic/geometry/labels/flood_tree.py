@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.morphology import max_tree
 
-from napari_deltamic.geometry.compiled import native
+from ..compiled import native
 
 Ranks = NDArray[np.uint16]
 

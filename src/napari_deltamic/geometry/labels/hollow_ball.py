@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from napari_deltamic.common.triple import geometric_mean
-from napari_deltamic.geometry.labels.bright_ball import mean_of, squares
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
+from ...common.triple import geometric_mean
+from ..mesh import FloatArray, IntArray
+from .bright_ball import mean_of, squares
 
 
 @dataclass(frozen=True)

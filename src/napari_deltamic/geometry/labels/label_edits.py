@@ -19,14 +19,14 @@ from scipy import ndimage
 from skimage.graph import MCP_Geometric
 from skimage.segmentation import watershed
 
-from napari_deltamic.common.reading import one_reason, read_text, reading
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.cell_rules import CLICKS
-from napari_deltamic.geometry.labels.checked_image import checked_image
-from napari_deltamic.geometry.labels.find_cells import compressed_walls
-from napari_deltamic.geometry.labels.region_merging import Image, Labels
-from napari_deltamic.geometry.labels.regions_at_points import regions_at
-from napari_deltamic.geometry.mesh import FloatArray
+from ...common.reading import one_reason, read_text, reading
+from ...errors import InputError
+from ..mesh import FloatArray
+from .cell_rules import CLICKS
+from .checked_image import checked_image
+from .find_cells import compressed_walls
+from .region_merging import Image, Labels
+from .regions_at_points import regions_at
 
 Action = Literal["cell", "merge", "remove"]
 _COLUMNS = ("z", "y", "x", "action", "step")

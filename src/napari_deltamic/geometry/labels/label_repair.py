@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from napari_deltamic.common.doing import doing
-from napari_deltamic.common.words import counted
-from napari_deltamic.errors import InputError, listed
-from napari_deltamic.geometry.labels.annotated_slices import filled_between
-from napari_deltamic.geometry.mesh import FloatArray
-from napari_deltamic.geometry.three_numbers import three_numbers
-from napari_deltamic.images.missing import unmasked
+from ...common.doing import doing
+from ...common.words import counted
+from ...errors import InputError, listed
+from ...images.missing import unmasked
+from ..mesh import FloatArray
+from ..three_numbers import three_numbers
+from .annotated_slices import filled_between
 
 _MANY = 1 << 16  # labels up to this number are found faster by number than by rank
 _ROUNDING = 1e-6  # um, of distances: a gap exactly as wide as asked for is closed

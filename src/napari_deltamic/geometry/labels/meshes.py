@@ -10,23 +10,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from napari_deltamic.common.doing import doing
-from napari_deltamic.common.words import counted
-from napari_deltamic.errors import DoubtWarning, InputError, RepairWarning, listed
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.contacts import label_contacts
-from napari_deltamic.geometry.labels.dark_gaps import with_dark_gaps
-from napari_deltamic.geometry.labels.label_repair import repair_labels, share_out_gaps
-from napari_deltamic.geometry.labels.partition import TooCoarse, partition_mesh, with_volumes
-from napari_deltamic.geometry.labels.surface_nets import closed_surface
-from napari_deltamic.geometry.labels.thin_parts import cut_off
-from napari_deltamic.geometry.labels.voxels import box_around
-from napari_deltamic.geometry.labels.whole_cells import whole_cells
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.refused import told
-from napari_deltamic.geometry.remeshing import can_remesh, remesh
-from napari_deltamic.geometry.three_numbers import three_numbers
-from napari_deltamic.geometry.topology.smoothing_out import smoothed_out
+from ...common.doing import doing
+from ...common.words import counted
+from ...errors import DoubtWarning, InputError, RepairWarning, listed
+from ..connected import connected
+from ..contacts import label_contacts
+from ..mesh import FloatArray, IntArray, Mesh
+from ..refused import told
+from ..remeshing import can_remesh, remesh
+from ..three_numbers import three_numbers
+from ..topology.smoothing_out import smoothed_out
+from .dark_gaps import with_dark_gaps
+from .label_repair import repair_labels, share_out_gaps
+from .partition import TooCoarse, partition_mesh, with_volumes
+from .surface_nets import closed_surface
+from .thin_parts import cut_off
+from .voxels import box_around
+from .whole_cells import whole_cells
 
 EDGE_IN_VOXELS = 3.0
 # Where planes are far apart, or cells large, edges of three voxels would make more faces than a fit

@@ -10,17 +10,12 @@ import torch
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from napari_deltamic.common.doing import doing
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.labels.dual_net import (
-    TRIANGLES,
-    check_nodes,
-    dual_net,
-    field_smoothing,
-)
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.vectors import lengths
+from ...common.doing import doing
+from ...errors import InputError
+from ..connected import connected
+from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from ..vectors import lengths
+from .dual_net import TRIANGLES, check_nodes, dual_net, field_smoothing
 
 # Of repairs: crowded labels hardly larger than an edge took up to 38 rounds, usual ones one.
 _ROUNDS = 100

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from napari_deltamic.geometry.labels.cell_rules import FINDING
-from napari_deltamic.geometry.mesh import FloatArray
+from ..mesh import FloatArray
+from .cell_rules import FINDING
 
 Labels = NDArray[np.int32]
 Image = NDArray[np.float32]

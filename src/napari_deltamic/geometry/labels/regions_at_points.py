@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.segmentation import watershed
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.basins import content_of, label_basins
-from napari_deltamic.geometry.labels.bright_ball import ball_at, bright_ball, stands_out
-from napari_deltamic.geometry.labels.hollow_ball import hollow_ball
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
-from napari_deltamic.geometry.refused import Refused
+from ...errors import InputError
+from ..mesh import FloatArray, IntArray
+from ..refused import Refused
+from .basins import content_of, label_basins
+from .bright_ball import ball_at, bright_ball, stands_out
+from .hollow_ball import hollow_ball
 
 if TYPE_CHECKING:
-    from napari_deltamic.geometry.labels.bright_cells import CellsFound
+    from .bright_cells import CellsFound
 
 Labels = NDArray[np.int32]
 _OWN = 0.5  # chosen: most of a cell must be left by regions that other points name
@@ -213,7 +213,7 @@ def _cells(data: FloatArray, size: FloatArray) -> CellsFound | None:
 
 def _found(data: FloatArray, size: FloatArray) -> CellsFound | None:
     # Imported where it is needed, as that takes a while.
-    from napari_deltamic.geometry.labels.bright_cells import cells_of
+    from .bright_cells import cells_of
 
     try:
         return cells_of(data, size.tolist())

@@ -7,14 +7,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array
 
-from napari_deltamic.geometry.labels.dual_net import (
-    NETS,
-    TRIANGLES,
-    check_nodes,
-    dual_net,
-    field_smoothing,
-)
-from napari_deltamic.geometry.mesh import FloatArray, IntArray
+from ..mesh import FloatArray, IntArray
+from .dual_net import NETS, TRIANGLES, check_nodes, dual_net, field_smoothing
 
 Mask = NDArray[np.bool_]
 

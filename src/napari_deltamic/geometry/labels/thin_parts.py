@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
-from napari_deltamic.common.doing import doing
-from napari_deltamic.geometry.labels.voxels import box_around, region_windings
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
+from ...common.doing import doing
+from ..mesh import FloatArray, IntArray, Mesh
+from .voxels import box_around, region_windings
 
 # Edges, or along an axis two voxels where that is more. A part begins half of that outside of the
 # mesh, as all of a surface may be moved so far, and ends beyond the second number. Measured on some

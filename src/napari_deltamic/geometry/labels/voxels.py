@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, Mesh
-from napari_deltamic.geometry.windings import right_side_out
+from ..mesh import OUTSIDE, FloatArray, Mesh
+from ..windings import right_side_out
 
 # Voxels: lines through their centres would meet vertices and edges of meshes that were made on the
 # same grid, so they are drawn this much aside, unlike along the two axes.

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.segmentation import watershed
 
-from napari_deltamic.common.doing import doing
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.labels.basins import noise_after
-from napari_deltamic.geometry.labels.regions_at_points import closed_regions
-from napari_deltamic.geometry.labels.voxels import box_around
-from napari_deltamic.geometry.mesh import FloatArray
+from ...common.doing import doing
+from ...errors import InputError
+from ..mesh import FloatArray
+from .basins import noise_after
+from .regions_at_points import closed_regions
+from .voxels import box_around
 
 Labels = NDArray[np.int32]
 Mask = NDArray[np.bool_]

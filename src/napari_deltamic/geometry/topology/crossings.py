@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_deltamic.geometry.compiled import native
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.mesh import IntArray, Mesh
+from ..compiled import native
+from ..connected import connected
+from ..mesh import IntArray, Mesh
 
 
 def crossings(mesh: Mesh, near: float = 0.0) -> IntArray:

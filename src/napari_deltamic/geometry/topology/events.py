@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.mesh import OUTSIDE, Mesh
-from napari_deltamic.geometry.topology.submesh import Census
-from napari_deltamic.geometry.topology.thin_places import ThinPlace
+from ..connected import connected
+from ..mesh import OUTSIDE, Mesh
+from .submesh import Census
+from .thin_places import ThinPlace
 
 Shape = tuple[int, int]  # pieces of a surface, and its Euler characteristic
 Shapes = tuple[Shape, Shape]  # before and after

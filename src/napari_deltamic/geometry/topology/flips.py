@@ -13,10 +13,10 @@ from itertools import pairwise, product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.topology.change_sizes import SIZES
-from napari_deltamic.geometry.topology.submesh import Change, Submesh, stayed
-from napari_deltamic.geometry.topology.thin_places import ThinPlace
+from ..mesh import FloatArray, IntArray, Mesh
+from .change_sizes import SIZES
+from .submesh import Change, Submesh, stayed
+from .thin_places import ThinPlace
 
 _SAME_PLACE = 1e-9  # um: points of a place are vertices of the mesh, up to rounding
 _Flip = Callable[[Mesh, ThinPlace, float], Change | None]

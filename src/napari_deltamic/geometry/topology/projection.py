@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from napari_deltamic.geometry.compiled import native
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.topology.change_sizes import SIZES
-from napari_deltamic.geometry.topology.region_sets import RegionSets, edge_sets, vertex_sets
+from ..compiled import native
+from ..mesh import FloatArray, IntArray, Mesh
+from .change_sizes import SIZES
+from .region_sets import RegionSets, edge_sets, vertex_sets
 
 
 def projected(mesh: Mesh, onto: Mesh, weight: FloatArray, edge: float) -> Mesh:

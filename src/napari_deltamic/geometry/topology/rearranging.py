@@ -12,13 +12,13 @@ from itertools import combinations
 
 import numpy as np
 
-from napari_deltamic.geometry.contacts import between_cells
-from napari_deltamic.geometry.mesh import IntArray, Mesh
-from napari_deltamic.geometry.topology.change_sizes import SIZES
-from napari_deltamic.geometry.topology.events import Shapes, change_events, surface_shape
-from napari_deltamic.geometry.topology.flips import flipped
-from napari_deltamic.geometry.topology.small_pieces import absorbed
-from napari_deltamic.geometry.topology.submesh import (
+from ..contacts import between_cells
+from ..mesh import IntArray, Mesh
+from .change_sizes import SIZES
+from .events import Shapes, change_events, surface_shape
+from .flips import flipped
+from .small_pieces import absorbed
+from .submesh import (
     Census,
     Change,
     Cutter,
@@ -29,8 +29,8 @@ from napari_deltamic.geometry.topology.submesh import (
     put_back,
     unchanged,
 )
-from napari_deltamic.geometry.topology.thin_places import ThinPlace
-from napari_deltamic.geometry.topology.thinning import thinned
+from .thin_places import ThinPlace
+from .thinning import thinned
 
 
 @dataclass(frozen=True, eq=False)

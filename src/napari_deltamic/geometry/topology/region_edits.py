@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.remeshing import can_remesh, remesh
+from ...errors import InputError
+from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from ..remeshing import can_remesh, remesh
 
 _LEAST_AROUND = 12  # edges around a new wall
 # Edge lengths: vertices nearer to a plane lie in it, which avoids slivers. Those of junctions do

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic.geometry.mesh import IntArray, Mesh
+from ..mesh import IntArray, Mesh
 
 Keys = NDArray[np.uint64]
 

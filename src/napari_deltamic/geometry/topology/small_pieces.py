@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_deltamic.geometry.compiled import native
-from napari_deltamic.geometry.mesh import OUTSIDE, IntArray, Mesh
-from napari_deltamic.geometry.topology.submesh import Change, Submesh
-from napari_deltamic.geometry.topology.thin_places import ThinPlace
+from ..compiled import native
+from ..mesh import OUTSIDE, IntArray, Mesh
+from .submesh import Change, Submesh
+from .thin_places import ThinPlace
 
 
 def small_pieces(mesh: Mesh, volume: float) -> list[ThinPlace]:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from napari_deltamic.geometry.contacts import between_cells
-from napari_deltamic.geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.remeshing import remesh
-from napari_deltamic.geometry.topology.change_sizes import SIZES
-from napari_deltamic.geometry.topology.crossings import crosses
+from ..contacts import between_cells
+from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from ..remeshing import remesh
+from .change_sizes import SIZES
+from .crossings import crosses
 
 Mask = NDArray[np.bool_]
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from napari_deltamic.geometry.compiled import native
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.contacts import walls
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.topology.change_sizes import SIZES
+from ..compiled import native
+from ..connected import connected
+from ..contacts import walls
+from ..mesh import FloatArray, IntArray, Mesh
+from .change_sizes import SIZES
 
 _SAMPLE = 200  # vertices whose faces within reach tell how many there are; chosen
 _PAIRS = 500_000  # at a time: about 500 MB; chosen

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.topology.change_sizes import SIZES
-from napari_deltamic.geometry.topology.submesh import Change, Submesh
-from napari_deltamic.geometry.topology.thin_places import ThinPlace
+from ..connected import connected
+from ..mesh import FloatArray, IntArray, Mesh
+from .change_sizes import SIZES
+from .submesh import Change, Submesh
+from .thin_places import ThinPlace
 
 Mask = NDArray[np.bool_]
 

@@ -7,25 +7,18 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from napari_deltamic.errors import InputError
-from napari_deltamic.geometry.connected import connected
-from napari_deltamic.geometry.labels.partition import partition_mesh
-from napari_deltamic.geometry.labels.voxels import region_windings
-from napari_deltamic.geometry.mesh import FloatArray, IntArray, Mesh
-from napari_deltamic.geometry.remeshing import remesh
-from napari_deltamic.geometry.topology.change_sizes import SIZES
-from napari_deltamic.geometry.topology.crossings import crossings
-from napari_deltamic.geometry.topology.events import untangled_events
-from napari_deltamic.geometry.topology.projection import projected
-from napari_deltamic.geometry.topology.rearranging import Rearranged
-from napari_deltamic.geometry.topology.submesh import (
-    Census,
-    Change,
-    Cutter,
-    Submesh,
-    fits,
-    put_back,
-)
+from ...errors import InputError
+from ..connected import connected
+from ..labels.partition import partition_mesh
+from ..labels.voxels import region_windings
+from ..mesh import FloatArray, IntArray, Mesh
+from ..remeshing import remesh
+from .change_sizes import SIZES
+from .crossings import crossings
+from .events import untangled_events
+from .projection import projected
+from .rearranging import Rearranged
+from .submesh import Census, Change, Cutter, Submesh, fits, put_back
 
 _HOPELESS = "surfaces cross in a way that cannot be repaired: start from other seeds"
 
