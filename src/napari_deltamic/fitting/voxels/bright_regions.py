@@ -18,7 +18,7 @@ from skimage.morphology import local_maxima, reconstruction
 from skimage.segmentation import watershed
 
 from ...common.doing import doing
-from ...geometry.labels.voxels import highest
+from ...geometry.labels.voxels import highest, widened
 from ...images.missing import filled
 from ...scene import Grid
 
@@ -238,9 +238,7 @@ def _things_of(starts: Labels, bright: Mask, far: float, size: np.ndarray) -> tu
     A start's own is what most of it lies in, and what mostly lies in starts.
     """
     things = np.zeros(bright.shape, np.int32)
-    room = np.ceil(far / size).astype(int).tolist()
-    sides = zip(find_objects((starts > 0).astype(np.int8))[0], room, strict=True)
-    box = tuple(slice(max(s.start - r, 0), s.stop + r) for s, r in sides)
+    box = widened(find_objects((starts > 0).astype(np.int8))[0], far / size, starts.shape)
     connected, _ = label_components(bright[box])
     touched = np.unique(connected[(starts[box] > 0) & bright[box]])
     doing()

@@ -19,6 +19,7 @@ from scipy.ndimage import find_objects, maximum_filter
 from skimage.transform import downscale_local_mean
 
 from ...common.gaussian_blur import blurred
+from ...geometry.labels.voxels import widened
 from ...geometry.mesh import FloatArray
 
 
@@ -93,7 +94,8 @@ def foreign_light(
     if not sources.any():
         return None
     told = sources | (counted & (light < RULES.dim) & _within(sources, RULES.reach * widths))
-    box = _box(sources, RULES.cut_off * widths)
+    (inner,) = find_objects(sources.view(np.int8))
+    box = widened(inner, RULES.cut_off * widths, sources.shape)
     steps = np.maximum(np.floor(RULES.step * widths), 1).astype(int)
     share = _means(told[box], steps)
     given = _means(np.where(told[box], left[box], 0.0), steps)
@@ -146,13 +148,3 @@ def _within(mask: np.ndarray, far: FloatArray) -> np.ndarray:
     size = 2 * np.ceil(far).astype(int) + 1
     near: np.ndarray = maximum_filter(mask.view(np.int8), tuple(size), mode="constant") > 0
     return near
-
-
-def _box(mask: np.ndarray, margin: FloatArray) -> tuple[slice, ...]:
-    """The box around a mask, with a margin of this many voxels."""
-    (inner,) = find_objects(mask.view(np.int8))
-    further = np.ceil(margin).astype(int).tolist()
-    return tuple(
-        slice(max(one.start - more, 0), one.stop + more)
-        for one, more in zip(inner, further, strict=True)
-    )

@@ -21,7 +21,7 @@ from scipy.ndimage import (
 from skimage.segmentation import watershed
 
 from ...common.doing import doing
-from ...geometry.labels.voxels import box_around, highest
+from ...geometry.labels.voxels import box_around, highest, widened
 from ...scene import Grid
 from .bright_regions import Labels, Mask, bright_regions, without_thin
 
@@ -146,7 +146,8 @@ def dark_regions(light: NDArray[np.floating], starts: Labels, foreign: Mask) -> 
     for region, box in enumerate(find_objects(starts), 1):
         if box is None:
             continue
-        around = tuple(_wider(side, n) for side, n in zip(box, starts.shape, strict=True))
+        room = [np.ceil(RULES.around * (side.stop - side.start)) + 1 for side in box]
+        around = widened(box, room, starts.shape)
         if not foreign[around].any():
             continue
         doing()
@@ -155,11 +156,6 @@ def dark_regions(light: NDArray[np.floating], starts: Labels, foreign: Mask) -> 
         if inside is not None:
             found[around][inside] = region
     return found
-
-
-def _wider(side: slice, length: int) -> slice:
-    room = int(np.ceil(RULES.around * (side.stop - side.start))) + 1
-    return slice(max(side.start - room, 0), min(side.stop + room, length))
 
 
 def _inner(box: tuple[slice, ...], shape: tuple[int, ...]) -> Mask:
@@ -212,9 +208,7 @@ def missed(found: Labels | None, starts: Labels, grid: Grid) -> Mask:
     for region, box in enumerate(find_objects(np.maximum(found, 0)), 1):
         if box is None:
             continue
-        around = tuple(
-            slice(max(s.start - 1, 0), s.stop + 1) for s in box_around(box, boxes[region - 1])
-        )
+        around = widened(box_around(box, boxes[region - 1]), 1, starts.shape)
         own, start = found[around] == region, starts[around] == region
         rest, volume = own & (starts[around] == 0), np.count_nonzero(start)
         held = np.count_nonzero(own & start)

@@ -11,7 +11,7 @@ from scipy.ndimage import label as label_components
 from skimage.morphology import reconstruction
 
 from ...common.doing import doing
-from ...geometry.labels.voxels import highest
+from ...geometry.labels.voxels import highest, widened
 
 Labels = NDArray[np.signedinteger]
 Mask = NDArray[np.bool_]
@@ -113,12 +113,10 @@ def protrusions(
 def _thin(things: Labels, bright: Mask, spacing: np.ndarray) -> Mask:
     """(n,) whether things are no thicker than two membranes."""
     depths = []
-    room = np.ceil(RULES.thick / spacing).astype(int) + 1
+    room = np.ceil(RULES.thick / spacing) + 1
     for number, box in enumerate(find_objects(things), 1):
         doing()
-        around = tuple(
-            slice(max(s.start - r, 0), s.stop + r) for s, r in zip(box, room.tolist(), strict=True)
-        )
+        around = widened(box, room, things.shape)
         depth = distance_transform_edt(bright[around], sampling=spacing)
         depths.append(depth[things[around] == number].max())
     return np.array(depths) <= RULES.thick
@@ -133,7 +131,7 @@ def _hollow(things: Labels, height: np.ndarray, own: Mask, known: Mask, least: f
     found = []
     for number, inner in enumerate(find_objects(things), 1):
         doing()
-        box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in inner)
+        box = widened(inner, 1, things.shape)
         around = np.where(known[box], height[box], height[box].max())
         full = around.copy()
         full[1:-1, 1:-1, 1:-1] = around.max()

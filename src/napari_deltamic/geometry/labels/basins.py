@@ -23,6 +23,7 @@ from ..mesh import FloatArray, IntArray
 from ..refused import Refused
 from .cell_rules import BASINS
 from .flood_tree import Ranks, flood_tree
+from .voxels import widened
 
 Mask = NDArray[np.bool_]
 
@@ -350,7 +351,7 @@ def _box_around(mask: Mask) -> tuple[slice, ...]:
     """Bounding box with room for the membrane and for what lies beyond it."""
     box = ndimage.find_objects(mask.astype(np.int8))[0]
     room = [5 + (s.stop - s.start) // 4 for s in box]
-    return tuple(slice(max(s.start - r, 0), s.stop + r) for s, r in zip(box, room, strict=True))
+    return widened(box, room, mask.shape)
 
 
 def _mark_cuts(markers: NDArray[np.int_], box: tuple[slice, ...], shape: tuple[int, ...]) -> None:

@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from ..mesh import FloatArray
 from .region_merging import Image, Labels, dark_half
+from .voxels import widened
 
 _DIRECTIONS = 32  # chosen: few enough that the mean over each is clear of noise
 _HIGH = 0.75  # of all directions, the quantile that counts as the height of a wall; chosen
@@ -37,7 +38,7 @@ def even_walls(
     inside, boxes = total / np.maximum(voxels, 1), ndimage.find_objects(labels)
     even = np.ones(len(names))
     for place, name in enumerate(names.tolist()):
-        wider = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in boxes[name - 1])
+        wider = widened(boxes[name - 1], 1, labels.shape)
         heights = _heights(labels[wider], name, smooth[wider], side) - inside[name]
         if len(heights):
             high = max(float(np.quantile(heights, _HIGH)), float(np.finfo(np.float32).tiny))

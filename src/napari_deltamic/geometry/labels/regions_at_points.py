@@ -16,6 +16,7 @@ from ..refused import Refused
 from .basins import content_of, label_basins
 from .bright_ball import ball_at, bright_ball, stands_out
 from .hollow_ball import hollow_ball
+from .voxels import widened
 
 if TYPE_CHECKING:
     from .bright_cells import CellsFound
@@ -171,7 +172,7 @@ def _hardly_dark(smooth: FloatArray, labels: Labels) -> list[int]:
     ground, found = np.percentile(smooth, _DARK), []
     for name, box in enumerate(ndimage.find_objects(labels), 1):
         if box is not None:
-            around = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
+            around = widened(box, 1, labels.shape)
             own = labels[around] == name
             above = float(np.median(smooth[around][own])) - ground
             found += [name] if above > _DIM * (_crest(smooth[around], own) - ground) else []

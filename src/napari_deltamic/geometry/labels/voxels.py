@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..mesh import OUTSIDE, FloatArray, Mesh
 from ..windings import right_side_out
@@ -156,3 +156,13 @@ def box_around(*boxes: tuple[slice, ...]) -> tuple[slice, ...]:
     """The box of voxels that holds all of some boxes."""
     sides = zip(*boxes, strict=True)
     return tuple(slice(min(s.start for s in x), max(s.stop for s in x)) for x in sides)
+
+
+def widened(box: tuple[slice, ...], by: ArrayLike, shape: Sequence[int]) -> tuple[slice, ...]:
+    """The box with this many voxels more, rounded up, on each side, as far as the image goes.
+
+    by : one number, or one along each axis.
+    """
+    room = np.broadcast_to(np.ceil(by).astype(int), len(box)).tolist()
+    sides = zip(box, room, shape, strict=True)
+    return tuple(slice(max(s.start - r, 0), min(s.stop + r, n)) for s, r, n in sides)

@@ -20,7 +20,7 @@ from ...errors import InputError
 from ..mesh import FloatArray
 from .basins import noise_after
 from .regions_at_points import closed_regions
-from .voxels import box_around
+from .voxels import box_around, widened
 
 Labels = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -217,7 +217,7 @@ def _layers(
     """
     every = np.maximum(at.depth / RULES.layers / seen.size, 1).astype(int)  # few voxels tell enough
     size, reach = every * seen.size, RULES.reach * at.depth
-    around = _wider(at.box, reach / seen.size, labels.shape)
+    around = widened(at.box, np.ceil(reach / seen.size) + 1, labels.shape)
     part = tuple(slice(s.start, s.stop, n) for s, n in zip(around, every.tolist(), strict=True))
     light, own, free = seen.smooth[part], labels[part] == name, labels[part] == 0
     step, inner = float(size.min()), _depth(own, size)
@@ -269,7 +269,7 @@ class _Region:
         return self._apart(labels) and self._ends(seen, labels)
 
     def _apart(self, labels: Labels) -> bool:
-        box = _wider(self.box, np.zeros(3), labels.shape)
+        box = widened(self.box, 1, labels.shape)
         own, region = labels[box] == self.name, self.found[box] == self.name
         # What the border of the image cuts goes on there.
         core, within = (ndimage.binary_erosion(m, border_value=1) for m in (own, own | region))
@@ -278,7 +278,7 @@ class _Region:
 
     def _ends(self, seen: _Seen, labels: Labels) -> bool:
         """Whether the image falls beyond its border, if it rises up to there."""
-        box = _wider(self.box, np.full(3, _BEYOND[1]), labels.shape)
+        box = widened(self.box, _BEYOND[1] + 1, labels.shape)
         region, light = self.found[box] == self.name, seen.smooth[box]
         rim = region & ~ndimage.binary_erosion(region, border_value=1)
         near, far = (ndimage.binary_dilation(region, iterations=n) for n in _BEYOND)
@@ -289,9 +289,3 @@ class _Region:
             float(np.median(light[m])) for m in (labels[box] == self.name, rim, beyond)
         )
         return border <= core or border - out >= RULES.crest * (border - core)
-
-
-def _wider(box: Box, by: FloatArray, shape: tuple[int, ...]) -> Box:
-    room = np.ceil(by).astype(int) + 1
-    sides = zip(box, room.tolist(), shape, strict=True)
-    return tuple(slice(max(s.start - r, 0), min(s.stop + r, n)) for s, r, n in sides)
