@@ -151,7 +151,8 @@ class Situation:
         voxel = geometric_mean(grid.voxel_size)
         radius = (3 * volume / (4 * np.pi)) ** (1 / 3)
         width = geometric_mean(sigma)
-        rims = min(1.0, _rim_length(mesh) * width / max(float(mesh.areas().sum()), 1e-300))
+        of_rims = float(mesh.edge_lengths()[mesh.edge_uses() > 2].sum())
+        rims = min(1.0, of_rims * width / max(float(mesh.areas().sum()), 1e-300))
         return cls(noise, voxel, width, radius, mesh.median_edge(), rims)
 
     def floor(self) -> float:
@@ -186,14 +187,6 @@ class Situation:
         s = RULES
         wanted = sqrt(part * self.radius / (s.triangles * TRIANGLES.chord * s.curvature))
         return max(min(wanted, s.longest * self.radius), s.finest * self.width)
-
-
-def _rim_length(mesh: Mesh) -> float:
-    """um: of all edges at which three walls or more meet."""
-    edges = mesh.edges()
-    ends = mesh.vertices_numpy()[edges]
-    rims = np.bincount(mesh.face_edges().reshape(-1), minlength=len(edges)) > 2
-    return float(np.linalg.norm(ends[rims, 1] - ends[rims, 0], axis=1).sum())
 
 
 def dialled(choice: str, now: Situation) -> Dialled:

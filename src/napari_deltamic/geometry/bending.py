@@ -47,7 +47,7 @@ class BendingEnergy:
     def __init__(self, mesh: Mesh, width: float | None = None) -> None:
         self._faces: IntArray = np.ascontiguousarray(mesh.faces)
         self._count = len(mesh.vertices)
-        uses = np.bincount(mesh.face_edges().ravel(), minlength=len(mesh.edges()))
+        uses = mesh.edge_uses()
         smooth = np.zeros(self._count)
         smooth[mesh.faces.ravel()] = 1.0
         smooth[mesh.edges()[uses != 2].ravel()] = 0.0

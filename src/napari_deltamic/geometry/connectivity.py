@@ -78,6 +78,12 @@ class Connectivity:
         return edges, index.reshape(-1, 3).astype(np.int64)
 
     @cached_property
+    def edge_uses(self) -> IntArray:
+        """(E,) how many faces each edge belongs to."""
+        edges, by_face = self.edges
+        return np.bincount(by_face.ravel(), minlength=len(edges))
+
+    @cached_property
     def open_regions(self) -> IntArray:
         """Regions with an edge that an odd number of their faces share."""
         face_edges = self.edges[1]

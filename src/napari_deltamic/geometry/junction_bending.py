@@ -36,9 +36,7 @@ class JunctionBending:
 
     def __init__(self, mesh: Mesh, width: float) -> None:
         self._count, self._width = len(mesh.vertices), width
-        edges = mesh.edges()
-        uses = np.bincount(mesh.face_edges().ravel(), minlength=len(edges))
-        lines = edges[uses > 2]
+        lines = mesh.edges()[mesh.edge_uses() > 2]
         ends = np.concatenate([lines, lines[:, ::-1]])
         ends = ends[np.argsort(ends[:, 0], kind="stable")]
         many = np.bincount(ends[:, 0], minlength=self._count)

@@ -222,11 +222,18 @@ class Mesh:
         """Row in ``edges`` of the edge opposite each corner, (F, 3)."""
         return self._connectivity.edges[1]
 
-    def median_edge(self) -> float:
-        """Length of a typical edge, um; 0 where there is none."""
+    def edge_uses(self) -> IntArray:
+        """How many faces meet at each edge, (E,): 2 within a wall, 3 and more at junctions."""
+        return self._connectivity.edge_uses
+
+    def edge_lengths(self) -> FloatArray:
+        """Length of each edge, (E,) um."""
         ends = self.vertices_numpy()[self.edges()]
-        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        return float(np.median(lengths)) if len(lengths) else 0.0
+        return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
+    def median_edge(self) -> float:
+        """Length of a typical edge, um."""
+        return float(np.median(self.edge_lengths()))
 
     # ---- other libraries --------------------------------------------------------------------
 

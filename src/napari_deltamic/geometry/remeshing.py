@@ -114,9 +114,7 @@ def remesh(
                 raise InputError(f"{name} must have one value for each of the {n} vertices")
             held[np.asarray(given, bool)] = value
     if passes is None:
-        longest = float(
-            np.linalg.norm(np.diff(mesh.vertices_numpy()[mesh.edges()], axis=1), axis=2).max()
-        )
+        longest = float(mesh.edge_lengths().max())
         passes = _PASSES + max(0, ceil(log2(longest / float(length.min()))))
     wanted = mesh, length, passes, loads, held, smooth
     done = _remeshed(*wanted, np.zeros(n, np.uint8), 0.0)
@@ -138,8 +136,7 @@ def _kept_apart(
     if not len(trouble) or crosses(mesh):
         return done
     vertices = mesh.vertices_numpy()
-    ends = vertices[mesh.edges()]
-    longest = float(max(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(), length.max()))
+    longest = float(max(mesh.edge_lengths().max(), length.max()))
     for last in (False, False, True):
         away = cKDTree(trouble).query(vertices)[0] / longest
         guard = np.where(away < _GUARDED, 2, np.where(away < _SEEN, 1, 0)).astype(np.uint8)

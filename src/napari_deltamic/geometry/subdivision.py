@@ -44,8 +44,7 @@ def subdivided(mesh: Mesh) -> Subdivided:
     "Piecewise smooth surface reconstruction", 1994); where junctions meet, vertices stay.
     """
     edges, by_face = mesh.edges(), mesh.face_edges()
-    uses = np.bincount(by_face.ravel(), minlength=len(edges))
-    inner = uses == 2
+    inner = mesh.edge_uses() == 2
     weights = sp.vstack([_old(mesh, edges, inner), _new(mesh, edges, by_face, inner)]).tocsr()
     n = len(mesh.vertices)
     # Edge k of a face has its corners k and k + 1, or k + 1 and k + 2: asked of the edges.

@@ -14,14 +14,13 @@ def vertex_curvature(mesh: Mesh) -> FloatArray:
     faces (J. Steiner, 1840). Edges on junctions and borders turn for other reasons, and are left
     out. Noise moves neighbouring vertices to either side, so most of it cancels.
     """
-    v, edges, sides = mesh.vertices_numpy(), mesh.edges(), mesh.face_edges().reshape(-1)
+    edges, sides = mesh.edges(), mesh.face_edges().reshape(-1)
     order = np.argsort(sides, kind="stable")
-    count = np.bincount(sides, minlength=len(edges))
+    count = mesh.edge_uses()
     smooth = count == 2
     first = (np.cumsum(count) - count)[smooth]
     one, other = (order[first + k] // 3 for k in (0, 1))
-    length = np.linalg.norm(np.diff(v[edges[smooth]], axis=1)[:, 0], axis=1)
-    n = len(v)
+    length, n = mesh.edge_lengths()[smooth], len(mesh.vertices)
 
     def around(values: FloatArray) -> FloatArray:
         """Sums over a vertex and its neighbours."""

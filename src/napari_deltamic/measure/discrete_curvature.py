@@ -138,7 +138,7 @@ def _hinges(sides: Sides) -> tuple[FloatArray, FloatArray]:
     bulges = np.einsum("hi,hi->h", first, beyond) + np.einsum("hi,hi->h", second, back)
     sine = np.linalg.norm(np.cross(first, second), axis=1)
     turn = np.arctan2(sine, np.einsum("hi,hi->h", first, second))
-    length = np.linalg.norm(v[ends[:, 1]] - v[ends[:, 0]], axis=1)
+    length = mesh.edge_lengths()[edge]
     return np.where(bulges > 0, -turn, turn), length
 
 

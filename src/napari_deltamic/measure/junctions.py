@@ -77,13 +77,11 @@ class Junction:
 
 def junction_lengths(mesh: Mesh) -> dict[tuple[int, int, int], float]:
     """um: the whole length along which three regions meet, by their numbers, increasing."""
-    ends = mesh.vertices_numpy()[mesh.edges()]
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     edges, triples = _junction_edges(mesh)
     if not len(edges):
         return {}
     found, index = np.unique(triples, axis=0, return_inverse=True)
-    sums = np.bincount(index.reshape(-1), lengths[edges])
+    sums = np.bincount(index.reshape(-1), mesh.edge_lengths()[edges])
     return {(a, b, c): s for (a, b, c), s in zip(found.tolist(), sums.tolist(), strict=True)}
 
 

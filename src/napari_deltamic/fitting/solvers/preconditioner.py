@@ -118,10 +118,8 @@ _KEPT = 3  # factorisations: that of displacements, of densities, and one of bef
 
 
 def _at_junctions(a: sp.csr_matrix, mesh: Mesh, weight: float) -> sp.csr_matrix:
-    ends = np.sort(mesh.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
-    edges, faces = np.unique(ends, axis=0, return_counts=True)
     junction = np.zeros(len(mesh.vertices), bool)
-    junction[edges[faces > 2]] = True
+    junction[mesh.edges()[mesh.edge_uses() > 2]] = True
     if not junction.any():
         return a
     a = a.tocoo()

@@ -139,9 +139,8 @@ class CollisionGuard:
 
 def _longest_edges(mesh: Mesh) -> np.ndarray:
     """(V,) um."""
-    edges, longest = mesh.edges(), np.zeros(len(mesh.vertices))
-    length = np.linalg.norm(np.diff(mesh.vertices_numpy()[edges], axis=1)[:, 0], axis=1)
-    np.maximum.at(longest, edges.ravel(), np.repeat(length, 2))
+    longest = np.zeros(len(mesh.vertices))
+    np.maximum.at(longest, mesh.edges().ravel(), np.repeat(mesh.edge_lengths(), 2))
     return longest
 
 

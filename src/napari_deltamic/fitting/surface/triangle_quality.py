@@ -64,9 +64,7 @@ RULES = RemeshingRules()
 
 def gaps(mesh: Mesh) -> FloatArray:
     """(F,) um: how far the flat faces lie from a surface as curved as theirs is."""
-    edges = mesh.edges()
-    length = np.linalg.norm(np.diff(mesh.vertices_numpy()[edges], axis=1)[:, 0], axis=1)
-    square = (length[mesh.face_edges()] ** 2).mean(1)
+    square = (mesh.edge_lengths()[mesh.face_edges()] ** 2).mean(1)
     found: FloatArray = RULES.chord * square * vertex_curvature(mesh)[mesh.faces].mean(1)
     return found
 
@@ -133,10 +131,8 @@ class Remeshing:
         """Whether edges are too long for much of a surface that the level has moved."""
         if flatness is None or self._looks < 2 or self._refined >= RULES.refined:
             return False
-        edges = mesh.edges()
-        length = np.linalg.norm(np.diff(mesh.vertices_numpy()[edges], axis=1)[:, 0], axis=1)
-        wanted = self._lengths(mesh, flatness)[edges].mean(1)
-        return bool((length > RULES.far_off * wanted).mean() > RULES.many)
+        wanted = self._lengths(mesh, flatness)[mesh.edges()].mean(1)
+        return bool((mesh.edge_lengths() > RULES.far_off * wanted).mean() > RULES.many)
 
     def _lengths(self, mesh: Mesh, flatness: float | None) -> FloatArray:
         """(V,) um: edges are to have."""

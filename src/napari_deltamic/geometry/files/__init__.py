@@ -134,7 +134,7 @@ def _remarks(mesh: Mesh, named: bool) -> list[str]:
     is_open = [str(k) for k in mesh.region_ids() if not mesh.is_closed(int(k))]
     if is_open:
         found.append(f"the surface of region {', '.join(is_open)} is open: it has no volume")
-    n = int((np.bincount(mesh.face_edges().ravel()) > 3).sum())
+    n = int((mesh.edge_uses() > 3).sum())
     if n:
         found.append(
             f"four walls or more meet in {counted(n, 'edge')}; three would be free to move"

@@ -86,11 +86,9 @@ def _split(
     vertices, edges, face_edges = mesh.vertices_numpy(), mesh.edges(), mesh.face_edges()
     height = (vertices - point) @ normal
     own = (mesh.regions == region).any(axis=1)
-    lengths = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
-    counts = np.bincount(face_edges.ravel(), minlength=len(edges))
     near = np.full(len(vertices), _ON_PLANE)
-    near[edges[counts > 2]] = _ON_PLANE_IN_JUNCTION
-    near *= float(np.median(lengths[np.unique(face_edges[own])]))
+    near[edges[mesh.edge_uses() > 2]] = _ON_PLANE_IN_JUNCTION
+    near *= float(np.median(mesh.edge_lengths()[np.unique(face_edges[own])]))
     side = np.where(np.abs(height) < near, 0, np.sign(height)).astype(int)
     crossing = np.zeros(len(edges), bool)
     crossing[np.unique(face_edges[own])] = True
@@ -218,7 +216,6 @@ def _renewed(mesh: Mesh, daughters: tuple[int, int], around: float) -> Mesh:
     wall = np.isin(mesh.regions, daughters).all(axis=1)
     fixed = np.ones(len(mesh.vertices), bool)
     fixed[mesh.faces[own]] = False
-    ends = mesh.vertices_numpy()[mesh.edges()[np.unique(mesh.face_edges()[~wall])]]
-    length = float(np.median(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)))
+    length = float(np.median(mesh.edge_lengths()[np.unique(mesh.face_edges()[~wall])]))
     length = min(length, around / _LEAST_AROUND)
     return remesh(mesh, length, passes=3, fixed=fixed).mesh

@@ -77,7 +77,7 @@ def _smoothed(part: Submesh, points: FloatArray, edge: float, steps: int) -> Cha
 def _nearer_their_neighbours(mesh: Mesh, free: Mask, steps: int) -> FloatArray:
     """(V, 3) um: vertices at junctions move along these only, and where they end they stay."""
     vertices, edges = mesh.vertices_numpy().copy(), mesh.edges()
-    junction = np.bincount(mesh.face_edges().ravel(), minlength=len(edges)) > 2
+    junction = mesh.edge_uses() > 2
     ends = np.bincount(edges[junction].ravel(), minlength=len(vertices))
     free = free & ((ends == 0) | (ends == 2))
     for _ in range(steps):

@@ -299,7 +299,7 @@ def fits(part: Submesh, change: Change) -> bool:
     named = np.column_stack([after[:, 0], np.sort(corners[after[:, 1:]], axis=1)])
     if len(after) != len(before) or not np.array_equal(_sorted(named), _sorted(before)):
         return False
-    branches = [np.bincount(m.face_edges().reshape(-1)).max() for m in (change.mesh, part.mesh)]
+    branches = [m.edge_uses().max() for m in (change.mesh, part.mesh)]
     return bool(branches[0] <= max(SIZES.most_walls, branches[1])) and not crosses(change.mesh)
 
 

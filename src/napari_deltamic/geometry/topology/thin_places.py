@@ -155,8 +155,7 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
     corners, corner = np.unique(keys, return_inverse=True)
     corner = corner.reshape(-1, 2)
     line_of = connected(corner, len(corners))
-    extent = np.linalg.norm(vertices[edges[rows, 1]] - vertices[edges[rows, 0]], axis=1)
-    extent = np.bincount(line_of[corner[:, 0]], extent)
+    extent = np.bincount(line_of[corner[:, 0]], mesh.edge_lengths()[rows])
     places = []
     for p in np.flatnonzero(extent < length):
         own = corners[line_of == p]
@@ -171,7 +170,7 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
 def _junction_edges(mesh: Mesh) -> tuple[IntArray, IntArray]:
     """Edges of three faces, and (n, 3) the three regions around each, increasing."""
     face_edges = mesh.face_edges().reshape(-1)
-    three = np.bincount(face_edges, minlength=len(mesh.edges())) == 3
+    three = mesh.edge_uses() == 3
     slots = np.flatnonzero(three[face_edges])
     faces = slots[np.argsort(face_edges[slots], kind="stable")] // 3
     around = np.sort(mesh.regions[faces].reshape(-1, 6), axis=1)

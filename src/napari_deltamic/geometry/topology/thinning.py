@@ -73,7 +73,7 @@ def _sheet_opened(mesh: Mesh, place: ThinPlace, near: Mask) -> Iterator[Change]:
 def _at_junctions(mesh: Mesh) -> Mask:
     """The faces with a corner in a junction."""
     junction = np.zeros(len(mesh.vertices), bool)
-    junction[mesh.edges()[np.bincount(mesh.face_edges().reshape(-1)) > 2]] = True
+    junction[mesh.edges()[mesh.edge_uses() > 2]] = True
     return np.asarray(junction[mesh.faces].any(1), dtype=bool)
 
 
@@ -83,7 +83,7 @@ def _grown_over_junctions(mesh: Mesh, patch: Mask, allowed: Mask) -> Mask:
     Empty where it cannot be had.
     """
     patch, edge_of = patch.copy(), mesh.face_edges()
-    junction = np.bincount(edge_of.reshape(-1)) > 2
+    junction = mesh.edge_uses() > 2
     surface = np.bincount(edge_of[allowed].reshape(-1), minlength=len(junction))
     for _ in range(SIZES.growing):
         within = np.bincount(edge_of[patch].reshape(-1), minlength=len(junction))

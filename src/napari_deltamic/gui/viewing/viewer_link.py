@@ -233,8 +233,7 @@ class Pins:
             self._add(places, mesh)
 
     def _add(self, places: NDArray[np.float64], mesh: Mesh) -> None:
-        a, b = mesh.vertices_numpy()[mesh.edges()[:200]].transpose(1, 0, 2)
-        size = 0.6 * float(np.median(np.linalg.norm(a - b, axis=1)))
+        size = 0.6 * float(np.median(mesh.edge_lengths()[:200]))
         self.layer = Points(
             places,
             ndim=3,
