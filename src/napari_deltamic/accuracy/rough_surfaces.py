@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.ball import ball_radius
 from ..errors import InputError
 from ..geometry import Mesh, sphere
+from ..geometry.contacts import label_contacts
 from ..geometry.labels.meshes import EDGE_IN_VOXELS
 from ..geometry.mesh import FloatArray
 from ..runs.seeds import LabelSeeds, MeshSeeds, MixedSeeds, PointSeeds, Seeds
@@ -47,7 +49,7 @@ def rough_surfaces(seeds: Seeds, grid: Grid, known: Mesh | None = None) -> Rough
             meshes.append(part.surface)
     if not meshes:
         raise InputError("there are no surfaces to start from")
-    touching = any(map(_touch, labels)) if labels else None
+    touching = any(len(label_contacts(one)[0]) for one in labels) if labels else None
     return RoughSurfaces(Mesh.merge(meshes), touching)
 
 
@@ -78,15 +80,6 @@ def _balls_of_labels(labels: NDArray[Any], grid: Grid) -> list[Mesh]:
     numbers, volumes = np.unique(labels[labels > 0], return_counts=True)
     if not len(numbers):
         return []
-    radii = np.cbrt(3 / (4 * np.pi) * volumes * float(np.prod(grid.voxel_size)))
+    radii = ball_radius(volumes * float(np.prod(grid.voxel_size)))
     middle = (np.asarray(grid.shape) - 1) / 2 * grid.voxel_size
     return [_balls(np.tile(middle, (len(numbers), 1)), radii, grid)]
-
-
-def _touch(labels: NDArray[Any]) -> bool:
-    """Whether voxels of two labels lie side by side."""
-    for axis in range(labels.ndim):
-        a, b = (np.moveaxis(labels, axis, 0)[k] for k in (slice(1, None), slice(None, -1)))
-        if ((a != b) & (a > 0) & (b > 0)).any():
-            return True
-    return False

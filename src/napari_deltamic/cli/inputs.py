@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from math import pi
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.ball import ball_radius
 from ..common.choices import AUTO, is_auto
 from ..common.description import described
 from ..errors import InputError, NoCellsFound
@@ -80,7 +79,7 @@ def fit_of(
 def _what_was_found(path: str, cells: Mesh) -> str:
     """How many cells, of what size, and how to look for others."""
     volumes = list(cells.volumes().values())
-    across = median((6 * v / pi) ** (1 / 3) for v in volumes)
+    across = float(np.median(2 * ball_radius(volumes)))
     number = "1 cell was found," if len(volumes) == 1 else f"{len(volumes)} cells were found, most"
     plain = path.partition(":")[0]
     return f"{number} about {across:.2g} um across ({plain}:12 looks for cells of about 12 um)"

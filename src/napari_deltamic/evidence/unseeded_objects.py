@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial import cKDTree
 
+from ..common.ball import ball_radius
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import Optics
@@ -81,7 +82,7 @@ def strays(spots: Sequence[Spot], mesh: Mesh, optics: Optics) -> tuple[Stray, ..
         return ()
     regions = np.unique(mesh.regions[mesh.regions > 0]).tolist()
     volume = float(np.median([abs(mesh.region_volume(region)) for region in regions]))
-    reach = RULES.together * float(np.cbrt(6 * volume / np.pi))
+    reach = RULES.together * 2 * float(ball_radius(volume))
     groups = np.ones(1, int)
     if len(kept) > 1:
         groups = fcluster(linkage(places[kept], "single"), reach, "distance")

@@ -18,6 +18,7 @@ from math import sqrt
 
 import numpy as np
 
+from ..common.ball import ball_radius
 from ..common.triple import geometric_mean
 from ..errors import InputError
 from ..geometry.mesh import Mesh
@@ -149,7 +150,7 @@ class Situation:
         sizes = np.abs([v for v in mesh.volumes().values() if np.isfinite(v)])
         volume = float(np.median(sizes)) if len(sizes) and np.median(sizes) > 0 else np.inf
         voxel = geometric_mean(grid.voxel_size)
-        radius = (3 * volume / (4 * np.pi)) ** (1 / 3)
+        radius = float(ball_radius(volume))
         width = geometric_mean(sigma)
         of_rims = float(mesh.edge_lengths()[mesh.edge_uses() > 2].sum())
         rims = min(1.0, of_rims * width / max(float(mesh.areas().sum()), 1e-300))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.ball import ball_radius
 from ..fitting.surface.growth_alarm import shrunken
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import OUTSIDE, Mesh
@@ -24,7 +25,7 @@ class CellLook:
     @property
     def radius(self) -> float:
         """um; of the sphere of the same volume."""
-        return float((3 * max(self.volume, 0.0) / (4 * np.pi)) ** (1 / 3))
+        return float(ball_radius(max(self.volume, 0.0)))
 
 
 def looks(mesh: Mesh) -> dict[int, CellLook]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 
+from ..common.ball import ball_radius
 from ..fitting.model.likelihood import match
 from ..fitting.solvers.preconditioner import NEAR_JUNCTIONS, Preconditioner
 from ..geometry.labels.voxels import voxel_labels
@@ -143,7 +144,7 @@ def _seen_shifts(
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     found = {}
     for region, volume in mesh.volumes().items():
-        radius = (3 * max(volume, 0) / (4 * np.pi)) ** (1 / 3)
+        radius = ball_radius(max(volume, 0))
         local = np.maximum(np.floor(_RULES.one_by * radius / size), 1).astype(int)
         found[region] = (
             everywhere + _local(labels == region, template, measured, everywhere, local)

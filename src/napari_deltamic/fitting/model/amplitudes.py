@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
+from ...common.ball import ball_radius
 from ...common.choices import Structure, StructureChoice
 from ...common.triple import geometric_mean
 from ...errors import InputError
@@ -152,7 +153,7 @@ def all_flat(mesh: Mesh, optics: Optics) -> bool:
     areas, each = scaled.areas(), scaled.volumes()
     area = np.array([areas[(scaled.regions == k).any(1)].sum() for k in each])
     volume = np.abs(list(each.values()))
-    ball = np.cbrt(3 / (4 * np.pi) * volume)
+    ball = ball_radius(volume)
     thickness = 3 * volume / area
     thin = np.median(thickness) <= RULES.thin * RULES.telling
     return bool(thin and np.median(thickness / ball) < RULES.flat)
@@ -163,6 +164,6 @@ def hardly_wider(volume: float, optics: Optics, times: float = 1.0) -> bool:
 
     times : factor of the radius up to which they do.
     """
-    radius = np.cbrt(3 / (4 * np.pi) * abs(volume))
+    radius = ball_radius(abs(volume))
     least = times * RULES.telling * geometric_mean(optics.sigma_um)
     return bool(radius <= least)

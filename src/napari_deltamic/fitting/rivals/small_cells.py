@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...common.ball import ball_radius
 from ...common.choices import DensityModel, Structure
 from ...geometry.mesh import FloatArray, Mesh
 from ..model.fitted import Fitted
@@ -81,7 +82,7 @@ def _radii(mesh: Mesh) -> FloatArray:
     """(V, 1) um: of the ball as large as the smallest cell at each vertex."""
     volumes = mesh.volumes()
     names = np.array(sorted(volumes))
-    radius = np.cbrt([3 / (4 * np.pi) * abs(volumes[name]) for name in names.tolist()])
+    radius = ball_radius([abs(volumes[name]) for name in names.tolist()])
     # Of the outside, 0, the search finds the first cell.
     beside = np.where(mesh.regions > 0, radius[np.searchsorted(names, mesh.regions)], np.inf)
     found = np.full(len(mesh.vertices), np.inf)

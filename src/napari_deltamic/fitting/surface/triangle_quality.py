@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...common.ball import ball_radius
 from ...geometry.mesh import FloatArray, Mesh
 from ...geometry.remeshing import Remeshed, can_remesh, remesh, smallest_angles
 from ...geometry.vertex_curvature import vertex_curvature
@@ -99,7 +100,7 @@ class Remeshing:
     def begin_level(self, mesh: Mesh, blurred: float) -> None:
         """Edges as long as a level allows. blurred : um, width of its PSF; 0 if it is sharp."""
         volumes = np.abs([v for v in mesh.volumes().values()])
-        radius = float((3 * volumes.min() / (4 * np.pi)) ** (1 / 3)) if len(volumes) else 0.0
+        radius = float(ball_radius(volumes.min())) if len(volumes) else 0.0
         fewest = mesh.median_edge() * float(np.sqrt(len(mesh.vertices) / RULES.fewest))
         self._coarse = min(RULES.coarse * blurred, RULES.of_radius * radius, fewest)
         self.left, self._begun = 0.0, False

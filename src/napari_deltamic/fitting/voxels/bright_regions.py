@@ -17,6 +17,7 @@ from scipy.ndimage import label as label_components
 from skimage.morphology import local_maxima, reconstruction
 from skimage.segmentation import watershed
 
+from ...common.ball import ball_radius
 from ...common.doing import doing
 from ...geometry.labels.voxels import highest, widened
 from ...images.missing import filled
@@ -202,8 +203,7 @@ def _saddles(parts: Labels, light: np.ndarray) -> list[tuple[float, int, int]]:
 
 def _radii(starts: Labels, size: np.ndarray) -> NDArray[np.floating]:
     """Radii of spheres as large as the starts, from number 1."""
-    volumes = np.bincount(starts.ravel())[1:] * size.prod()
-    return np.asarray(np.cbrt(3 / (4 * np.pi) * volumes))
+    return np.asarray(ball_radius(np.bincount(starts.ravel())[1:] * size.prod()))
 
 
 def _ends(

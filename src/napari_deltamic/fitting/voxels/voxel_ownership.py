@@ -22,6 +22,7 @@ from scipy.ndimage import (
     minimum_filter,
 )
 
+from ...common.ball import ball_radius
 from ...common.doing import doing
 from ...common.triple import geometric_mean
 from ...errors import InputError, RepairWarning
@@ -234,7 +235,7 @@ def _across(radius: np.ndarray) -> NDArray[np.signedinteger]:
 def _radius(mesh: Mesh, optics: Optics) -> float:
     """Radius of the median cell, in widths of the PSF."""
     volume = float(np.median(list(mesh.volumes().values())))
-    radius = np.cbrt(3 / (4 * np.pi) * abs(volume))
+    radius = ball_radius(abs(volume))
     return float(radius / geometric_mean(optics.sigma_um))
 
 

@@ -11,6 +11,7 @@ from scipy import ndimage
 from skimage.morphology import h_maxima
 from skimage.segmentation import watershed
 
+from ...common.ball import ball_radius
 from ..mesh import FloatArray
 from .region_merging import Image, Labels
 from .solidity import solidity
@@ -177,7 +178,7 @@ def _diameters(labels: Labels, voxel: FloatArray) -> FloatArray:
     """um, of the balls as large as each label; 0 of the background."""
     volumes = np.bincount(labels.ravel()) * float(np.prod(voxel))
     volumes[0] = 0
-    found: FloatArray = np.cbrt(6 / np.pi * volumes)
+    found: FloatArray = 2 * ball_radius(volumes)
     return found
 
 

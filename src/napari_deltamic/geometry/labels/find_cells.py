@@ -18,6 +18,7 @@ from scipy import ndimage
 from skimage.morphology import local_minima
 from skimage.segmentation import watershed
 
+from ...common.ball import ball_radius
 from ...errors import NoCellsFound
 from ..mesh import FloatArray
 from .basins import border_area, noise_after, noise_gain
@@ -197,7 +198,7 @@ def _cells(regions: Regions, seen: Seen, size: float) -> RegionsFound:
     n, side = len(regions.volume), seen.voxel
     flat = regions.labels.ravel()
     border = np.bincount(flat, border_area(regions.labels.shape, side, seen.known).ravel(), n)
-    diameter = np.cbrt(6 / np.pi * regions.volume)
+    diameter = 2 * ball_radius(regions.volume)
     smallest, largest = FINDING.sizes
     good = (diameter >= smallest * size) & (diameter <= largest * size)
     share = border / np.maximum(np.pi * diameter**2, np.finfo(float).tiny)

@@ -19,6 +19,7 @@ from scipy import ndimage
 from skimage.graph import MCP_Geometric
 from skimage.segmentation import watershed
 
+from ...common.ball import ball_radius
 from ...common.reading import one_reason, read_text, reading
 from ...errors import InputError
 from ..mesh import FloatArray
@@ -363,4 +364,4 @@ def _typical(labels: Labels, voxel: FloatArray) -> float:
     counts = np.unique(labels[labels > 0], return_counts=True)[1]
     if not len(counts):
         return float((np.array(labels.shape) * voxel).max()) / 5
-    return float(np.cbrt(6 / np.pi * np.median(counts) * np.prod(voxel)))
+    return float(2 * ball_radius(np.median(counts) * np.prod(voxel)))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
+from ...common.ball import ball_radius
 from ...common.doing import doing
 from ...common.words import counted
 from ...errors import DoubtWarning, InputError, RepairWarning, listed
@@ -191,7 +192,7 @@ def _edge_in_voxels(labels: IntArray, size: FloatArray) -> float:
     counts = np.bincount(np.unique(labels[labels > 0], return_inverse=True)[1])
     if not len(counts):
         return EDGE_IN_VOXELS
-    radius = np.cbrt(3 / (4 * np.pi) * np.median(counts) * size.prod()) / size.min()
+    radius = ball_radius(np.median(counts) * size.prod()) / size.min()
     return float(np.clip(_OF_RADIUS * radius, _FINER * EDGE_IN_VOXELS, EDGE_IN_VOXELS))
 
 
