@@ -9,8 +9,8 @@ import torch
 from scipy.sparse.linalg import splu
 
 from napari_deltamic.fitting.solvers import factors
-from napari_deltamic.fitting.solvers.preconditioner import adjacency
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.connected import adjacency
 
 
 @pytest.fixture

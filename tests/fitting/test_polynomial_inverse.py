@@ -10,12 +10,13 @@ from napari_deltamic.fitting.solvers import preconditioner
 from napari_deltamic.fitting.solvers.polynomial_inverse import ERROR, PolynomialInverse
 from napari_deltamic.fitting.solvers.preconditioner import Preconditioner
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.connected import adjacency
 
 LARGE = sphere((0, 0, 0), 1, subdivisions=5)  # 10,242 vertices
 
 
 def smoothing_matrix(smoothing):
-    a = preconditioner.adjacency(sphere((0, 0, 0), 1, subdivisions=2))
+    a = adjacency(sphere((0, 0, 0), 1, subdivisions=2))
     degree = np.asarray(a.sum(1)).ravel()
     return (sp.eye(a.shape[0]) + smoothing * (sp.diags(degree) - a)).tocoo()
 

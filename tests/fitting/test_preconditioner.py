@@ -7,8 +7,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic import Mesh
 from napari_deltamic.fitting.paper_optimiser import AdamUniform
-from napari_deltamic.fitting.solvers.preconditioner import Preconditioner, adjacency, components
+from napari_deltamic.fitting.solvers.preconditioner import Preconditioner
 from napari_deltamic.geometry import sphere
+from napari_deltamic.geometry.connected import adjacency, pieces
 
 
 @pytest.fixture
@@ -68,7 +69,7 @@ def test_vertices_of_no_face(mesh, library):
     loose = Mesh(np.vstack([mesh.vertices, [[9, 9, 9]]]), mesh.faces)
     gradient = torch.ones(len(loose.vertices), 3, dtype=torch.float64)
     assert_allclose(Preconditioner(loose, 10).solve(gradient), gradient)
-    assert components(loose).max() == 1
+    assert pieces(loose).max() == 1
 
 
 def test_adjacency_counts_an_edge_once():

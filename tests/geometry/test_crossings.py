@@ -48,8 +48,8 @@ def test_surfaces_that_touch_count_if_asked_for():
     high = low.with_vertices(low.vertices_numpy() * [-1, 1, 1] - [1e-3, 0, 0])
     mesh = Mesh.merge([low, Mesh(high.vertices_numpy(), TETRAHEDRON[:, ::-1])])
     assert not crosses(mesh)
-    assert not crosses(mesh, 0.9e-3)
-    assert crosses(mesh, 1.1e-3)
+    assert not len(crossings(mesh, 0.9e-3))
+    assert len(crossings(mesh, 1.1e-3))
 
 
 def test_agrees_with_ipctk():

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..fitting import FitState, fit
 from ..fitting.model.default_accuracy import image_noise
 from ..fitting.shape_dial import Dialled, Situation, dialled, with_edges
-from ..fitting.solvers.preconditioner import components
+from ..geometry.connected import pieces
 from ..geometry.mesh import Mesh
 from ..measure.surface_distance import surface_distance
 from ..optics import Optics
@@ -170,9 +170,9 @@ def enough(found: Sequence[ShapeError]) -> str:
 
 def shrunk(mesh: Mesh) -> Mesh:
     """Each connected piece smaller by a tenth, about its middle."""
-    v, pieces = mesh.vertices_numpy().copy(), components(mesh)
-    for piece in range(int(pieces.max()) + 1):
-        own = pieces == piece
+    v, piece = mesh.vertices_numpy().copy(), pieces(mesh)
+    for k in range(int(piece.max()) + 1):
+        own = piece == k
         middle = v[own].mean(0)
         v[own] = middle + (1 - _SHRUNK) * (v[own] - middle)
     return mesh.with_vertices(v)

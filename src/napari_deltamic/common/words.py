@@ -32,5 +32,5 @@ def sentence(text: str) -> str:
 
 
 def counted(n: int, thing: str) -> str:
-    """So many of a thing: 1 cell, 2 cells."""
-    return f"{n} {thing}" if n == 1 else f"{n} {thing}s"
+    """So many of a thing: 1 cell, 2 cells, 3 vertices."""
+    return f"{n} {thing}" if n == 1 else f"{n} {thing.replace('vertex', 'vertice')}s"

@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import eigsh
 
 from ..common.choices import DensityModel
-from ..fitting.solvers.preconditioner import adjacency
+from ..geometry.connected import adjacency
 from ..geometry.mesh import Mesh
 from .evidence_rules import MODES
 

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from ..errors import InputError
+from ..geometry.connected import pieces
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..runs.settings import FitSettings
@@ -23,7 +24,7 @@ from .model.likelihood import Match, match
 from .model.problem import Problem
 from .model.state import FitState
 from .paper_optimiser import AdamUniform
-from .solvers.preconditioner import Preconditioner, components
+from .solvers.preconditioner import Preconditioner
 
 LAMBDA = 50.0  # the paper's
 # The paper gives no sizes of steps; these find the sphere of tests/fitting/test_paper.py.
@@ -45,7 +46,7 @@ def as_in_the_paper(
     if effects.present():
         raise InputError("a fit as in the paper has no effects")
     smoother = Preconditioner(mesh, LAMBDA)
-    adam = AdamUniform(components(mesh), 3)
+    adam = AdamUniform(pieces(mesh), 3)
     measured = torch.from_numpy(problem.image[problem.counted]).double()
     index = torch.from_numpy(np.flatnonzero(problem.counted))
     ones = torch.ones_like(measured)

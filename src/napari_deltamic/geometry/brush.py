@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InputError
 from .connected import connected
 from .mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from .outwards import out_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,11 +147,4 @@ def outward(mesh: Mesh, face: int) -> FloatArray:
     (V, 3) Z, Y, X; 0 at vertices that the region does not have.
     """
     inner, outer = (int(r) for r in mesh.regions[face])
-    region = outer if inner == OUTSIDE else inner
-    sign = (mesh.regions[:, 0] == region).astype(float) - (mesh.regions[:, 1] == region)
-    per_face = mesh.normals() * (mesh.areas() * sign)[:, None]
-    total = np.zeros((len(mesh.vertices), 3))
-    for k in range(3):
-        total[:, k] = np.bincount(mesh.faces.ravel(), np.repeat(per_face[:, k], 3), len(total))
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    return out_of(mesh, outer if inner == OUTSIDE else inner)

@@ -80,3 +80,18 @@ def label_contacts(labels: NDArray[np.integer]) -> tuple[IntArray, IntArray]:
     faces = np.bincount(low * several + high)
     found = np.flatnonzero(faces)
     return np.stack(np.divmod(found, several), axis=1).astype(np.int64), faces[found]
+
+
+def junction_edges(mesh: Mesh) -> tuple[IntArray, IntArray]:
+    """Rows of the edges in which three walls meet, and the three regions around each, increasing.
+
+    (n,) and (n, 3).
+    """
+    face_edges = mesh.face_edges().reshape(-1)
+    three = mesh.edge_uses() == 3
+    slots = np.flatnonzero(three[face_edges])
+    faces = slots[np.argsort(face_edges[slots], kind="stable")] // 3
+    around = np.sort(mesh.regions[faces].reshape(-1, 6), axis=1)
+    # Each region is on one side of two of the faces; elsewhere the mesh is open.
+    closed = (around[:, ::2] == around[:, 1::2]).all(1)
+    return np.flatnonzero(three)[closed], around[closed, ::2]

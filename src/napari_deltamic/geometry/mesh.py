@@ -149,24 +149,25 @@ class Mesh:
         """
         return self._connectivity.interfaces
 
-    def signed_volumes(self) -> FloatArray:
-        """Volume between each face and the mean vertex, (F,) um^3.
+    def signed_volumes(self, about: FloatArray | None = None) -> FloatArray:
+        """Volume between each face and a place (3,), by default the mean vertex, (F,) um^3.
 
-        Positive where the face's normal points away from the mean vertex. The sum over a
-        region's faces (negated where the region is side b) is the region's volume.
+        Positive where the face's normal points away from there. The sum over a region's faces
+        (negated where the region is side b) is the region's volume.
         """
         vertices = self.vertices_numpy()
-        # Relative to the mean vertex: no digits are lost far from the origin.
-        corners = (vertices - vertices.mean(axis=0))[self.faces]
+        # Relative to the mean vertex no digits are lost far from the origin.
+        corners = (vertices - (vertices.mean(axis=0) if about is None else about))[self.faces]
         cross = np.cross(corners[:, 1], corners[:, 2])
         return -np.einsum("fi,fi->f", corners[:, 0], cross) / 6.0
 
-    def volumes(self) -> dict[int, float]:
+    def volumes(self, about: FloatArray | None = None) -> dict[int, float]:
         """Volume of each region, um^3, by region number.
 
-        Means something only for closed, consistently oriented regions (``is_closed``, ``repair``).
+        Means something only for closed, consistently oriented regions (``is_closed``, ``repair``);
+        of open ones, differences do where only the inside of a surface changes, about one place.
         """
-        per_face = self.signed_volumes()
+        per_face = self.signed_volumes(about)
         # By rank: a region number may be anything.
         regions, rank = np.unique(self.regions, return_inverse=True)
         inner, outer = rank.reshape(-1, 2).T

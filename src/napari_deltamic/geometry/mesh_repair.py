@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..common.words import counted
 from ..errors import InputError
 from .arrays import FloatArray, IntArray, to_numpy
-from .connected import connected
+from .connected import connected, sharing
 from .mesh import OUTSIDE, Mesh
 from .windings import fix_windings
 
@@ -68,13 +69,6 @@ def repair(vertices: Any, faces: Any, regions: Any = None) -> tuple[Mesh, list[s
     points, triangles = _without_unused(points, triangles)
     mesh, winding_messages = fix_windings(Mesh(points, triangles, labels))
     return mesh, messages + winding_messages
-
-
-def counted(n: int, noun: str) -> str:
-    """'1 face', '2 faces', '3 vertices'."""
-    if n != 1:
-        noun = noun.replace("vertex", "vertice") + "s"
-    return f"{n} {noun}"
 
 
 def _note(messages: list[str], n: int, text: str, noun: str) -> None:
@@ -248,7 +242,7 @@ def _first_copies(faces: IntArray, regions: IntArray) -> NDArray[np.bool_]:
     edge = edge.reshape(-1, 3)
     n_edges = int(edge.max()) + 1
     doubled = np.nonzero(counts[group] > 1)[0]
-    patch = _patches(edge[doubled], n_edges)
+    patch = sharing(edge[doubled], n_edges)
 
     odd_now, odd_single = (
         np.bincount(edge[rows].reshape(-1), minlength=n_edges) % 2
@@ -271,11 +265,3 @@ def _is_direct(faces: IntArray) -> NDArray[np.bool_]:
     """Is the corner after the smallest index the middle one? If not, it is the largest."""
     follower = faces[np.arange(len(faces)), (faces.argmin(axis=1) + 1) % 3]
     return np.equal(follower, np.sort(faces, axis=1)[:, 1])
-
-
-def _patches(edge: IntArray, n_edges: int) -> IntArray:
-    """Number the groups of faces, (n, 3) edges each, that are connected by edges."""
-    n_faces = len(edge)
-    rows = np.repeat(np.arange(n_faces), 3)
-    links = np.column_stack([rows, n_faces + edge.reshape(-1)])
-    return connected(links, n_faces + n_edges)[:n_faces]

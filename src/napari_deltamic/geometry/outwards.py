@@ -9,7 +9,12 @@ from .mesh import OUTSIDE, FloatArray, Mesh
 
 def outwards(mesh: Mesh) -> FloatArray:
     """(V, 3) unit normals of the surface towards the outside; 0 where cells have none."""
-    sign = (mesh.regions[:, 1] == OUTSIDE).astype(float) - (mesh.regions[:, 0] == OUTSIDE)
+    return -out_of(mesh, OUTSIDE)
+
+
+def out_of(mesh: Mesh, region: int) -> FloatArray:
+    """(V, 3) unit normals out of a region, means by area; 0 at vertices that it does not have."""
+    sign = (mesh.regions[:, 0] == region).astype(float) - (mesh.regions[:, 1] == region)
     each = mesh.normals() * (sign * mesh.areas())[:, None]
     rows, n = mesh.faces.T.ravel(), len(mesh.vertices)
     summed = np.stack([np.bincount(rows, np.tile(one, 3), n) for one in each.T], 1)

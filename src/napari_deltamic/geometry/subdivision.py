@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from .connected import adjacency
 from .mesh import FloatArray, IntArray, Mesh
 
 
@@ -90,18 +91,12 @@ def _old(mesh: Mesh, edges: IntArray, inner: np.ndarray) -> sp.csr_matrix:
     lines = edges[~inner]
     on_lines = np.bincount(lines.ravel(), minlength=n)
     free = on_lines == 0
-    around = _adjacency(edges, n)
+    around = adjacency(mesh)
     degree = np.maximum(np.asarray(around.sum(1)).ravel(), 1)
     # Warren's simpler weights ("Subdivision methods for geometric design", 1995).
     beta = np.where(degree == 3, 3 / 16, 3 / (8 * degree))
     smooth = sp.diags(free * (1 - degree * beta)) + sp.diags(free * beta) @ around
-    along = _adjacency(lines, n)
+    along = adjacency(mesh, lines)
     middle = on_lines == 2
     crease = sp.diags(middle * 3 / 4.0) + sp.diags(middle / 8.0) @ along
     return (smooth + crease + sp.diags((~free & ~middle).astype(float))).tocsr()
-
-
-def _adjacency(edges: IntArray, count: int) -> sp.csr_matrix:
-    both = np.concatenate([edges, edges[:, ::-1]])
-    ones = np.ones(len(both))
-    return sp.coo_matrix((ones, (both[:, 0], both[:, 1])), (count, count)).tocsr()

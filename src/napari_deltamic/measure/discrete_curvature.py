@@ -19,7 +19,7 @@ from math import nan
 
 import numpy as np
 
-from ..geometry.connected import connected
+from ..geometry.connected import sharing
 from ..geometry.mesh import FloatArray, IntArray, Mesh
 from .sides import Sides
 
@@ -68,9 +68,7 @@ def cell_curvature(sides: Sides) -> CellCurvature:
     n_vertices = np.bincount(keys // len(mesh.vertices), minlength=n)
     angles = np.bincount(corner_cell, corner_angles(mesh)[sides.face].reshape(-1), n)
     gaussian = np.where(usable, 2 * np.pi * n_vertices - angles, nan)
-    own = np.arange(len(sides.cell))
-    links = np.column_stack([np.repeat(own, 3), len(own) + index.reshape(-1)])
-    piece = connected(links, len(own) + len(keys))[: len(own)]
+    piece = sharing(index.reshape(-1, 3), len(keys))
     first = np.unique(piece, return_index=True)[1]
     return CellCurvature(mean, gaussian, np.bincount(sides.cell[first], minlength=n))
 

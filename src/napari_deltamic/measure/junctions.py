@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
+from ..geometry.contacts import junction_edges
 from ..geometry.mesh import FloatArray, IntArray, Mesh
 
 _FLAT = 1e-14  # of the largest moment of points: none
@@ -77,7 +78,7 @@ class Junction:
 
 def junction_lengths(mesh: Mesh) -> dict[tuple[int, int, int], float]:
     """um: the whole length along which three regions meet, by their numbers, increasing."""
-    edges, triples = _junction_edges(mesh)
+    edges, triples = junction_edges(mesh)
     if not len(edges):
         return {}
     found, index = np.unique(triples, axis=0, return_inverse=True)
@@ -116,7 +117,7 @@ def junction_angles(
     reach = angle_reach(mesh) if reach is None else reach
     if not reach > 0:
         raise InputError(f"the reach of junction angles must be positive (um), not {reach}")
-    edges, triples = _junction_edges(mesh)
+    edges, triples = junction_edges(mesh)
     if avoid is not None and len(avoid) and len(edges):
         far = cKDTree(avoid).query(ends[edges].mean(1))[0] > reach
         edges, triples = edges[far], triples[far]
@@ -155,19 +156,6 @@ def _directions(line: FloatArray, reach: float) -> FloatArray:
     near = cKDTree(middles).query_ball_point(middles, reach)
     directions: FloatArray = np.linalg.eigh([products[k].sum(0) for k in near])[1][..., -1]
     return directions
-
-
-def _junction_edges(mesh: Mesh) -> tuple[IntArray, IntArray]:
-    """Edges in which three walls between three regions meet, and those regions, increasing."""
-    flat = mesh.face_edges().reshape(-1)
-    order = np.argsort(flat, kind="stable")
-    edges, first, count = np.unique(flat[order], return_index=True, return_counts=True)
-    edges, first = edges[count == 3], first[count == 3]
-    faces = order[first[:, None] + np.arange(3)] // 3
-    regions = np.sort(mesh.regions[faces].reshape(-1, 6), axis=1)
-    # Each of three regions is on two of the three walls.
-    proper = (regions[:, ::2] == regions[:, 1::2]).all(1) & (np.diff(regions[:, ::2]) > 0).all(1)
-    return edges[proper], regions[proper, ::2]
 
 
 class _Walls:

@@ -12,10 +12,11 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ...common.choices import DensityModel
+from ...geometry.connected import adjacency
 from ...geometry.mesh import FloatArray, IntArray, Mesh
 from ..solvers.factors import on_host
 from ..solvers.lbfgs import dot
-from ..solvers.preconditioner import Preconditioner, adjacency
+from ..solvers.preconditioner import Preconditioner
 
 _SOLVED = 1e-9  # of a row: what no face sees stays 0; as exact as densities in a file
 

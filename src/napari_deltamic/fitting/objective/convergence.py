@@ -8,9 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ...common.normal import SIGMA_PER_MEDIAN_DEVIATION
+from ...geometry.connected import adjacency
 from ...geometry.mesh import FloatArray, IntArray, Mesh
 from ...geometry.vectors import crossed, lengths
-from ..solvers.preconditioner import adjacency
 
 _MOST_RINGS = 4  # of vertices around one that make a patch: finer meshes than that are rare
 

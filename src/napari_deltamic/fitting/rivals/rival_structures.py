@@ -13,11 +13,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from ...common.choices import Structure
 from ...common.doing import doing
 from ...common.triple import geometric_mean
+from ...geometry.connected import adjacency
 from ...geometry.mesh import FloatArray
 from ...geometry.outwards import outwards
 from ..model.amplitudes import inside_over_membrane
@@ -338,10 +338,9 @@ def moved_in(shape: Shape, depth: float | FloatArray, collisions: bool) -> Float
     Those of walls between cells follow what is around them, so that rims do not fold.
     """
     mesh, places = shape.mesh, shape.mesh.vertices_numpy()
-    moved, n = -depth * outwards(mesh), len(places)
-    ends = np.concatenate([mesh.edges(), mesh.edges()[:, ::-1]])
-    links = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(n, n)).tocsr()
-    free, valence = (moved != 0).any(axis=1, keepdims=True), np.maximum(links.sum(1), 1)[:, None]
+    moved = -depth * outwards(mesh)
+    links, free = adjacency(mesh), (moved != 0).any(axis=1, keepdims=True)
+    valence = np.asarray(links.sum(1)).clip(1)
     for _ in range(_FOLLOWED):
         moved = np.where(free, moved, links @ moved / valence)
     guard = CollisionGuard(collisions)

@@ -5,27 +5,12 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 import torch
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
+from ...geometry.connected import adjacency
 from ...geometry.mesh import Mesh
 from .factors import MOST_HELD, Solve, on_host
 from .polynomial_inverse import ROWS_A_PRODUCT, PolynomialInverse
-
-
-def adjacency(mesh: Mesh) -> sp.csr_matrix:
-    """(V, V) 0/1 matrix of the mesh's edges."""
-    edges = mesh.edges()
-    n = len(mesh.vertices)
-    ones = np.ones(len(edges))
-    half = sp.coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(n, n))
-    return (half + half.T).tocsr()
-
-
-def components(mesh: Mesh) -> np.ndarray:
-    """(V,) number of the connected piece that each vertex belongs to."""
-    return connected_components(adjacency(mesh), directed=False)[1]
-
 
 # Weight of an edge that leaves a junction, where walls meet at an angle, once the surface is near:
 # a wall moves with its junctions, but is not held straight across them. Lower ones were seen to

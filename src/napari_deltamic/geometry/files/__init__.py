@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from ...common.reading import one_reason, quiet
+from ...common.words import counted
 from ...common.writing import write_atomically
 from ...errors import InputError, RepairWarning
-from ..connected import connected
+from ..connected import pieces
 from ..formats import MESH_FILES, MESH_FORMATS, MeshFormat, mesh_format
 from ..mesh import OUTSIDE, FloatArray, Mesh
-from ..mesh_repair import counted, repair
+from ..mesh_repair import repair
 from .raw import RawMesh
 
 
@@ -125,7 +126,7 @@ def _remarks(mesh: Mesh, named: bool) -> list[str]:
     named : whether the file says which cells there are.
     """
     found = []
-    parts = 1 if named else int(connected(mesh.edges(), len(mesh.vertices)).max()) + 1
+    parts = 1 if named else int(pieces(mesh).max()) + 1
     if parts > 1:
         found.append(
             f"the file does not name its cells: {parts} separate surfaces count as one cell; "

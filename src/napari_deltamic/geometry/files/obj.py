@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from ...common.words import counted
 from ...errors import InputError
 from ..mesh import FloatArray, IntArray
-from ..mesh_repair import counted
 from .raw import RawMesh
 
 _GROUP = re.compile(r"region_(\d+)_(\d+)")

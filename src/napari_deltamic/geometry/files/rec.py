@@ -11,9 +11,9 @@ import struct
 
 import numpy as np
 
+from ...common.words import counted
 from ...errors import InputError
 from ..mesh import FloatArray, IntArray
-from ..mesh_repair import counted
 from .raw import RawMesh
 
 _FACE = np.dtype([("corners", "<u8", 3), ("regions", "<i4", 2)])  # by definition of the format

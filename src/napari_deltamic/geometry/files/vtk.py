@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.words import counted
 from ...errors import InputError
 from ..mesh import FloatArray, IntArray
-from ..mesh_repair import counted
 from .raw import RawMesh
 
 _TYPES = {

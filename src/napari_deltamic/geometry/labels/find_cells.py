@@ -28,6 +28,7 @@ from .clear_rims import clear_rims, noise_magnitudes
 from .even_walls import even_walls
 from .region_merging import Image, Labels, Regions, join_regions
 from .solidity import solidity
+from .voxels import largest_part
 
 
 def find_cells(
@@ -243,11 +244,9 @@ def _trimmed(
     for place, name in enumerate(names):
         box = boxes[name - 1]
         solid = np.pad(ndimage.binary_fill_holes(labels[box] == name), 1)
-        core = ndimage.distance_transform_edt(solid, side) > radius
-        parts, count = ndimage.label(core)
-        if not count:
+        core = largest_part(ndimage.distance_transform_edt(solid, side) > radius)
+        if not core.any():
             continue
-        core = parts == 1 + np.bincount(parts.ravel())[1:].argmax()
         # The corners of a cell come back, its tongues do not.
         kept = solid & (ndimage.distance_transform_edt(~core, side) <= FINDING.corners * radius)
         whose.append(place)

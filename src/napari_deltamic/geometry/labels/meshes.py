@@ -26,7 +26,7 @@ from .label_repair import repair_labels, share_out_gaps
 from .partition import TooCoarse, partition_mesh, with_volumes
 from .surface_nets import closed_surface
 from .thin_parts import cut_off
-from .voxels import box_around
+from .voxels import box_around, largest_part
 from .whole_cells import whole_cells
 
 EDGE_IN_VOXELS = 3.0
@@ -338,10 +338,7 @@ def _whole(numbers: IntArray, cluster: IntArray) -> IntArray:
     kept = np.zeros_like(numbers)
     for number, box in zip(cluster, _boxes(numbers, cluster), strict=True):
         doing()
-        mask = numbers[box] == number
-        parts, count = ndimage.label(mask)
-        if count > 1:
-            mask = parts == 1 + np.bincount(parts.ravel())[1:].argmax()
+        mask = largest_part(numbers[box] == number)
         mask = mask | (ndimage.binary_fill_holes(mask) & (numbers[box] == 0))
         kept[box][mask] = number
     return kept

@@ -9,6 +9,7 @@ from scipy.sparse import coo_array
 
 from ..mesh import FloatArray, IntArray
 from .dual_net import NETS, TRIANGLES, check_nodes, dual_net, field_smoothing
+from .voxels import largest_part
 
 Mask = NDArray[np.bool_]
 
@@ -27,7 +28,7 @@ def closed_surface(
         return None
     check_nodes((extent + 6 * sigma) / spacing + 5, edge)
     room = np.ceil((3 * sigma + 2 * spacing) / size).astype(int) + 1
-    solid = ndimage.binary_fill_holes(_largest(np.pad(mask, [(int(r),) * 2 for r in room])))
+    solid = ndimage.binary_fill_holes(largest_part(np.pad(mask, [(int(r),) * 2 for r in room])))
     solid = _without_fins(solid, 0.5 * edge, size)
     corner = origin - room * size
     distance = ndimage.distance_transform_edt(solid, size)
@@ -50,16 +51,9 @@ def closed_surface(
 def _without_fins(solid: Mask, radius: float, size: FloatArray) -> Mask:
     """Take away parts too thin for the mesh (an opening by a ball), unless much would go."""
     kept = ndimage.distance_transform_edt(solid, size) > radius
-    opened = _largest(ndimage.distance_transform_edt(~kept, size) <= radius) if kept.any() else kept
-    return opened if opened.sum() > NETS.kept * solid.sum() else solid
-
-
-def _largest(mask: Mask) -> Mask:
-    parts, count = ndimage.label(mask)
-    if count < 2:
-        return mask
-    keep: Mask = parts == 1 + np.bincount(parts.ravel())[1:].argmax()
-    return keep
+    if kept.any():
+        kept = largest_part(ndimage.distance_transform_edt(~kept, size) <= radius)
+    return kept if kept.sum() > NETS.kept * solid.sum() else solid
 
 
 def _surface_net(
@@ -70,7 +64,7 @@ def _surface_net(
     axes = [np.arange(0, length + spacing, spacing) for length in extent]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"))
     values = _sample(field, nodes.reshape(3, -1).T, size).reshape(nodes.shape[1:])
-    inside = _well_composed(_largest(values > 0))
+    inside = _well_composed(largest_part(values > 0))
     if not inside.any():
         return None
     # The repair moved some signs: there the crossing is put next to the node that changed.

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from ..mesh import OUTSIDE, FloatArray, Mesh
 from ..windings import right_side_out
@@ -150,6 +151,12 @@ def highest(values: NDArray[Any], parts: NDArray[Any], count: int) -> NDArray[An
     found = np.full(count, -np.inf, values.dtype)
     np.maximum.at(found, parts[there] - 1, values[there])
     return found
+
+
+def largest_part(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest of the parts whose voxels share faces."""
+    parts, count = ndimage.label(mask)
+    return mask if count < 2 else parts == 1 + np.bincount(parts.ravel())[1:].argmax()
 
 
 def box_around(*boxes: tuple[slice, ...]) -> tuple[slice, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..compiled import native
-from ..connected import connected
+from ..connected import pieces
 from ..mesh import IntArray, Mesh
 
 
@@ -27,12 +27,9 @@ def crossings(mesh: Mesh, near: float = 0.0) -> IntArray:
     return found
 
 
-def crosses(mesh: Mesh, near: float = 0.0) -> bool:
-    """Whether a surface crosses itself or another, or comes as near to it (um).
-
-    False where the extension is missing.
-    """
-    return len(crossings(mesh, near)) > 0
+def crosses(mesh: Mesh) -> bool:
+    """Whether a surface crosses itself or another; False where the extension is missing."""
+    return len(crossings(mesh)) > 0
 
 
 class CrossingWalls:
@@ -58,7 +55,7 @@ class CrossingWalls:
         found = crossings(mesh)
         if not len(found):
             return
-        rows = np.column_stack([_pieces(mesh)[mesh.faces[:, 0]], mesh.interfaces()[1]])
+        rows = np.column_stack([pieces(mesh)[mesh.faces[:, 0]], mesh.interfaces()[1]])
         walls, wall = np.unique(rows, axis=0, return_inverse=True)
         self.wall = wall.reshape(-1).astype(np.int64)
         self.pairs = np.zeros((len(walls), len(walls)), bool)
@@ -73,7 +70,3 @@ class CrossingWalls:
 
     def __bool__(self) -> bool:
         return bool(self.regions)
-
-
-def _pieces(mesh: Mesh) -> IntArray:
-    return connected(mesh.edges(), len(mesh.vertices))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..connected import connected
+from ..connected import pieces
 from ..mesh import OUTSIDE, Mesh
 from .submesh import Census
 from .thin_places import ThinPlace
@@ -37,10 +37,10 @@ def change_events(
     said += [f"cell {k} comes to the surface" for k in sorted(is_now - was)]
     said += [f"cell {k} leaves the surface" for k in sorted(was - is_now)]
     if shapes is not None:
-        (pieces, euler), (pieces_now, euler_now) = shapes
+        (parts, euler), (parts_now, euler_now) = shapes
         cell = place.regions[0] or place.sides[0]
-        if pieces_now > pieces:
-            said.append(f"cell {cell} was pinched off into {pieces_now} pieces")
+        if parts_now > parts:
+            said.append(f"cell {cell} was pinched off into {parts_now} pieces")
         elif euler_now > euler:
             said.append(f"a hole in cell {cell} has closed")
     if place.volume:
@@ -69,9 +69,8 @@ def untangled_events(before: Census, after: Census, crossings: int) -> tuple[str
 def surface_shape(mesh: Mesh, region: int) -> Shape:
     """Pieces of a region's surface, and its Euler characteristic."""
     surface = mesh.region_surface(region)
-    edges, n = surface.edges(), len(surface.vertices)
-    pieces = int(connected(edges, n).max(initial=-1)) + 1
-    return pieces, n - len(edges) + len(surface.faces)
+    euler = len(surface.vertices) - len(surface.edges()) + len(surface.faces)
+    return int(pieces(surface).max()) + 1, euler
 
 
 def _listed(pairs: set[tuple[int, int]]) -> str:

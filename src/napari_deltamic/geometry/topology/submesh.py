@@ -234,9 +234,7 @@ class Census:
         pairs, wall = mesh.interfaces()
         count = np.bincount(wall, minlength=len(pairs)).tolist()
         walls = {(a, b): n for (a, b), n in zip(pairs.tolist(), count, strict=True)}
-        if middle is not None:
-            mesh = mesh.with_vertices(mesh.vertices_numpy() - middle)
-        return Census(walls, mesh.volumes() if middle is None else _volumes(mesh))
+        return Census(walls, mesh.volumes(middle))
 
     def with_part(self, before: Mesh, after: Mesh) -> Census:
         """After a part has changed."""
@@ -272,18 +270,6 @@ class Census:
     def at_surface(self) -> set[int]:
         """Cells that meet the outside."""
         return {a for a, b in self.walls if b == OUTSIDE}
-
-
-def _volumes(mesh: Mesh) -> dict[int, float]:
-    """As ``mesh.volumes()``, relative to the origin: of open parts only differences count."""
-    corners = mesh.vertices_numpy()[mesh.faces]
-    per_face = -np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
-    ids = mesh.region_ids()
-    names = np.concatenate([[OUTSIDE], ids])
-    sides = np.searchsorted(names, mesh.regions)
-    total = np.bincount(sides[:, 0], per_face, len(names))
-    total -= np.bincount(sides[:, 1], per_face, len(names))
-    return {int(k): float(v) for k, v in zip(names[1:], total[1:], strict=True)}
 
 
 def fits(part: Submesh, change: Change) -> bool:

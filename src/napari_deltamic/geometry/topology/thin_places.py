@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..compiled import native
-from ..connected import connected
-from ..contacts import walls
+from ..connected import connected, sharing
+from ..contacts import junction_edges, walls
 from ..mesh import FloatArray, IntArray, Mesh
 from .change_sizes import SIZES
 
@@ -132,9 +132,7 @@ def _with_small_pieces(mesh: Mesh, pairs: IntArray, wall: IntArray, area: float)
     """Walls between two cells with a piece, of faces that share a vertex, smaller than an area."""
     n = len(mesh.vertices)
     corners, corner = np.unique(wall[:, None] * n + mesh.faces, return_inverse=True)
-    corner = corner.reshape(-1, 3)
-    links = np.concatenate([corner[:, :2], corner[:, 1:]])
-    piece = connected(links, len(corners))[corner[:, 0]]
+    piece = sharing(corner.reshape(-1, 3), len(corners))
     small = np.bincount(piece, mesh.areas()) < area
     rows = np.unique(wall[small[piece]])
     return rows[(pairs[rows] > 0).all(1)]
@@ -146,7 +144,7 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
     The three are the regions of such a place, the two at the ends of the junction its sides.
     """
     edges = mesh.edges()
-    rows, around = _junction_edges(mesh)
+    rows, around = junction_edges(mesh)
     triples, triple = np.unique(around, axis=0, return_inverse=True)
     vertices, meet = mesh.vertices_numpy(), _Meeting(mesh)
     touching = walls(mesh)
@@ -165,18 +163,6 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
             points = np.concatenate([vertices[line], [vertices[line].mean(0)]])
             places.append(ThinPlace(tuple(three.tolist()), ends, points, float(extent[p])))
     return places
-
-
-def _junction_edges(mesh: Mesh) -> tuple[IntArray, IntArray]:
-    """Edges of three faces, and (n, 3) the three regions around each, increasing."""
-    face_edges = mesh.face_edges().reshape(-1)
-    three = mesh.edge_uses() == 3
-    slots = np.flatnonzero(three[face_edges])
-    faces = slots[np.argsort(face_edges[slots], kind="stable")] // 3
-    around = np.sort(mesh.regions[faces].reshape(-1, 6), axis=1)
-    # Each region is on one side of two of the faces; elsewhere the mesh is open.
-    closed = (around[:, ::2] == around[:, 1::2]).all(1)
-    return np.flatnonzero(three)[closed], around[closed, ::2]
 
 
 def _pieces_of(faces: IntArray, points: FloatArray, apart: float) -> IntArray:

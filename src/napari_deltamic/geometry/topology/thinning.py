@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..connected import connected
+from ..connected import sharing
 from ..mesh import FloatArray, IntArray, Mesh
 from .change_sizes import SIZES
 from .submesh import Change, Submesh
@@ -158,11 +158,7 @@ def _patch(mesh: Mesh, mask: Mask, place: ThinPlace, seeds: Mask | None = None) 
         return patch
     middles = mesh.vertices_numpy()[mesh.faces[start]].mean(1)
     first = start[cKDTree(place.points).query(middles)[0].argmin()]
-    edge = mesh.face_edges()[rows].reshape(-1)
-    face = np.repeat(np.arange(len(rows)), 3)
-    edges, index = np.unique(edge, return_inverse=True)
-    links = np.column_stack([face, len(rows) + index])
-    number = connected(links, len(rows) + len(edges))[: len(rows)]
+    number = sharing(mesh.face_edges()[rows], len(mesh.edges()))
     patch[rows[number == number[np.searchsorted(rows, first)]]] = True
     return patch
 
