@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from .clusters.embryo import CLICKS
+from .clusters.embryo import read_clicks
 from .figure import MissingData, default_data_folder
 
 os.environ.setdefault("QT_QPA_PLATFORM", "xcb")
@@ -89,7 +89,6 @@ def seeds() -> None:
 
 def embryo() -> None:
     """The embryo: find cells, correct them, run, look."""
-    from napari_deltamic.geometry import read_clicks_csv
     from napari_deltamic.images.stacks import read_image
 
     path = default_data_folder() / "images" / "celegans_tp33half_bgsub.tif"
@@ -103,7 +102,7 @@ def embryo() -> None:
     widget.seeds.find_cells.click()
     wait(lambda: any(x.name == "found cells" for x in viewer.layers))
     correcting = widget.seeds.corrections
-    for click in read_clicks_csv(CLICKS):
+    for click in read_clicks():
         correcting.bar.use({"cell": "split"}.get(click.action, click.action))
         correcting.click(np.array(click.place))
         wait(lambda: not correcting.busy, 0)

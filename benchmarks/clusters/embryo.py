@@ -7,6 +7,7 @@ shows no membrane.
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from napari_deltamic import GaussianPSF, Grid, Mesh, load_mesh, render
 from napari_deltamic.geometry import find_cells, mesh_from_labels
-from napari_deltamic.geometry.labels.label_edits import correct_labels, read_clicks_csv
+from napari_deltamic.geometry.labels.label_edits import Click, correct_labels
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.images.stacks import read_image
 from napari_deltamic.results.picture import picture
@@ -38,7 +39,7 @@ def embryo(options: Options) -> list[Row]:
     image, others = stack(options), limeseg(options)
     grid = Grid(image.shape, VOXEL_SIZE)
     first = cells(image)
-    clicks = read_clicks_csv(CLICKS)
+    clicks = read_clicks()
     labels = corrected(image, first)
     theirs = as_labels(others, grid)
     rows = [
@@ -122,8 +123,15 @@ def cells(image: NDArray[np.float32]) -> NDArray[np.int32]:
 
 def corrected(image: NDArray[np.float32], found: NDArray[np.int32]) -> NDArray[np.int32]:
     """The cells found, corrected by the clicks."""
-    labels: NDArray[np.int32] = correct_labels(image, VOXEL_SIZE, found, read_clicks_csv(CLICKS))
+    labels: NDArray[np.int32] = correct_labels(image, VOXEL_SIZE, found, read_clicks())
     return labels
+
+
+def read_clicks() -> list[Click]:
+    """The clicks that correct the cells found."""
+    with CLICKS.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [Click((float(r["z"]), float(r["y"]), float(r["x"])), r["action"]) for r in rows]
 
 
 def stack(options: Options) -> NDArray[np.float32]:

@@ -16,7 +16,6 @@ import napari_deltamic as nd
 from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.history import History
 from napari_deltamic.geometry import read_points_csv, sphere
-from napari_deltamic.geometry.labels.label_edits import read_clicks_csv
 from napari_deltamic.images.series import open_series
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.scene_file import load_scene, save_scene
@@ -91,8 +90,6 @@ def samples(folder: Path) -> dict[str, tuple[Path, Reader]]:
         found[name] = folder / name, _whole_series
     (folder / "points.csv").write_text("z,y,x,radius\n1.2,0.9,1.0,0.5\n0.4,0.5,0.6,\n")
     found["points"] = folder / "points.csv", read_points_csv
-    (folder / "clicks.csv").write_text("z,y,x,action,step\n1,2,3,cell,0\n1,2,4,merge,1\n")
-    found["clicks"] = folder / "clicks.csv", read_clicks_csv
     run = settings(folder)
     (folder / "run.toml").write_text(run.to_toml())
     found["run"] = folder / "run.toml", RunSettings.from_toml

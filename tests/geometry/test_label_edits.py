@@ -10,7 +10,6 @@ from napari_deltamic.geometry.labels.label_edits import (
     Click,
     Corrector,
     correct_labels,
-    read_clicks_csv,
 )
 from napari_deltamic.scene.samples import foam_sample
 
@@ -132,41 +131,6 @@ def test_labels_of_another_shape_are_refused():
     image, truth = scene()
     with pytest.raises(InputError, match="the labels have shape"):
         correct_labels(image, SIZE, truth[1:], [Click(LEFT)])
-
-
-def test_clicks_are_read_from_a_file(tmp_path):
-    path = tmp_path / "clicks.csv"
-    path.write_text("z,y,x,action\n1,2,3,cell\n\n4,5,6,\n7,8,9,Merge\n")
-    assert read_clicks_csv(path) == [
-        Click((1, 2, 3)),
-        Click((4, 5, 6)),
-        Click((7, 8, 9), "merge"),
-    ]
-
-
-def test_steps_are_read_from_a_file(tmp_path):
-    path = tmp_path / "clicks.csv"
-    path.write_text("z,y,x,action,step\n4,5,6,merge,1\n7,8,9,merge,1\n")
-    assert [click.step for click in read_clicks_csv(path)] == [1, 1]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("z,y,x,action,step\n1,2,3,cell,two\n", "line 2"),
-        ("z,y,x\n1,2,3\n", "first line"),
-        ("z,y,x,action\n1,b,3,cell\n", "line 2"),
-        ("z,y,x,action\n1,2,3,fly\n", "one of cell, merge, remove"),
-        ("z,y,x,action\n1,2,nan,cell\n", "three numbers"),
-    ],
-)
-def test_a_damaged_file_is_told_with_its_line(tmp_path, text, message):
-    path = tmp_path / "clicks.csv"
-    path.write_text(text)
-    with pytest.raises(InputError, match=message):
-        read_clicks_csv(path)
-    with pytest.raises(InputError, match=r"^cannot read clicks from \S+none.csv: No such file"):
-        read_clicks_csv(tmp_path / "none.csv")
 
 
 @pytest.mark.slow

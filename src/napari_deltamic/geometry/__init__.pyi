@@ -1,11 +1,7 @@
 from .files import load_mesh, save_mesh
 from .labels.cell_sizes import suggest_size
 from .labels.find_cells import find_cells
-from .labels.label_edits import (
-    Click,
-    correct_labels,
-    read_clicks_csv,
-)
+from .labels.label_edits import Click, correct_labels
 from .labels.label_repair import RepairedLabels, repair_labels
 from .labels.meshes import mesh_from_labels
 from .mesh import OUTSIDE, Mesh
@@ -33,7 +29,6 @@ __all__ = [
     "labels_from_points",
     "load_mesh",
     "mesh_from_labels",
-    "read_clicks_csv",
     "read_napari_points",
     "read_points_csv",
     "remesh",

@@ -7,11 +7,9 @@ says where, the image says how far: cells are divided and added by a watershed o
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +18,6 @@ from skimage.graph import MCP_Geometric
 from skimage.segmentation import watershed
 
 from ...common.ball import ball_radius
-from ...common.reading import one_reason, read_text, reading
 from ...errors import InputError
 from ..mesh import FloatArray
 from .cell_rules import CLICKS
@@ -30,7 +27,6 @@ from .region_merging import Image, Labels
 from .regions_at_points import regions_at
 
 Action = Literal["cell", "merge", "remove"]
-_COLUMNS = ("z", "y", "x", "action", "step")
 _Place = tuple[int, ...]
 _Clicks = list[tuple[int, _Place]]  # number from 0, voxel
 
@@ -145,42 +141,6 @@ def correct_labels(
         nothing; an odd number of "merge".
     """
     return Corrector(image, voxel_size).corrected(labels, clicks)
-
-
-def read_clicks_csv(path: str | Path) -> list[Click]:
-    """Read clicks: header `z,y,x,action` or `z,y,x,action,step`, um; an empty action is "cell".
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, has another header, or a field that means nothing.
-    """
-    with reading("clicks", path):
-        try:
-            lines = csv.reader(read_text(path).splitlines())
-            rows = [[field.strip().lower() for field in row] for row in lines]
-        except csv.Error as error:
-            raise InputError(str(error)) from error
-    if not rows or tuple(rows[0]) not in (_COLUMNS[:4], _COLUMNS):
-        raise InputError(f"{path}: the first line must be z,y,x,action or z,y,x,action,step")
-    clicks = []
-    for number, row in enumerate(rows[1:], 2):
-        if any(row):
-            try:
-                clicks.append(_click(row))
-            except (ValueError, InputError) as error:
-                raise InputError(f"{path}, line {number}: {one_reason(error)}") from error
-    return clicks
-
-
-def _click(row: list[str]) -> Click:
-    z, y, x = (float(field) for field in row[:3])
-    word, step, *_ = *row[3:], "", ""
-    actions: tuple[Action, ...] = get_args(Action)
-    action = next((known for known in actions if known == (word or "cell")), None)
-    if action is None or not np.isfinite((z, y, x)).all():
-        raise InputError("three numbers and one of cell, merge, remove")
-    return Click((z, y, x), action, int(step or 0))
 
 
 # Actions --------------------------------------------------------------------------------------
