@@ -17,7 +17,7 @@ from .grid import Grid
 MARGIN = 0.14  # of the field of view, left free on each side
 _FILL = 0.9  # of the ellipsoid within the margins, taken by a foam
 _TRIES = 2000  # places tried for a vesicle
-_EDGE_IN_VOXELS = 2.5
+_EDGE_IN_VOXELS = 2.5  # of the smallest side
 _LEAST_RADIUS = 2.5  # voxels; smaller cells would be no more than a blob
 _GAP = 1.5  # voxels between vesicles
 
@@ -27,7 +27,6 @@ def random_cells(
     grid: Grid,
     kind: CellKind = "foam",
     seed: int = 0,
-    edge_length: float | None = None,
 ) -> Mesh:
     """Cells at random places within a grid; the same seed gives the same cells.
 
@@ -40,8 +39,6 @@ def random_cells(
         How many; regions 1 to count.
     grid
         Cells lie within it, a margin away from its sides.
-    edge_length
-        um; by default 2.5 times the smallest voxel side.
 
     Raises
     ------
@@ -59,7 +56,7 @@ def random_cells(
     middle, half = (first + last) / 2, (last - first) / 2 * (1 - 2 * MARGIN)
     voxel = np.asarray(grid.voxel_size)
     least = _LEAST_RADIUS * float(voxel.max())
-    edge = _EDGE_IN_VOXELS * float(voxel.min()) if edge_length is None else edge_length
+    edge = _EDGE_IN_VOXELS * float(voxel.min())
     radius = float((half.prod() * _FILL / count) ** (1 / 3))
     if min(radius, float(half.min())) < least:
         raise InputError(
