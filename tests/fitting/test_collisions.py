@@ -299,7 +299,7 @@ def test_a_remeshing_that_makes_surfaces_cross_is_not_taken(two, monkeypatch):
         tried.append(mesh)
         n = len(crossing.vertices)
         none = np.zeros((n, carried.shape[1])), np.zeros(n, bool), np.full(n, -1)
-        return Remeshed(crossing, *none, 0, 0)
+        return Remeshed(crossing, *none)
 
     monkeypatch.setattr(Remeshing, "wanted", lambda self, mesh, flatness: not tried)
     monkeypatch.setattr(Remeshing, "renewed", renewed)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from mesh_edges import edge_valences
 from numpy.testing import assert_allclose
 
 from napari_deltamic import InputError
@@ -28,7 +27,7 @@ def test_two_that_overlap_meet_in_the_plane_of_equal_power():
     centers, radii = np.array([(0.0, 0, 0), (0, 0, 2)]), np.array([1.5, 1.2])
     mesh = foam(centers, radii, 0.25)
     assert mesh.is_closed()
-    assert set(np.unique(edge_valences(mesh))) == {2, 3}
+    assert set(np.unique(mesh.edge_uses())) == {2, 3}
     wall = (mesh.regions > 0).all(1)
     plane = (1.5**2 - 1.2**2 + 4) / 4
     places = mesh.vertices_numpy()[np.unique(mesh.faces[wall])]

@@ -4,7 +4,6 @@ import warnings
 
 import numpy as np
 import pytest
-from mesh_edges import edge_valences
 from numpy.testing import assert_allclose
 
 from napari_deltamic.errors import InputError, RepairWarning
@@ -32,7 +31,7 @@ def test_touching_labels_share_their_wall():
     mesh = mesh_from_labels(labels, SIZE)
     assert mesh.is_closed()
     assert {tuple(p) for p in mesh.interfaces()[0]} == {(4, 0), (9, 0), (9, 4)}
-    assert set(np.unique(edge_valences(mesh))) == {2, 3}
+    assert set(np.unique(mesh.edge_uses())) == {2, 3}
     for k in (4, 9):
         assert_allclose(mesh.region_volume(k), (labels == k).sum() * 0.016, rtol=3e-3)
     assert np.percentile(smallest_angles(mesh), 1) > 25

@@ -121,6 +121,14 @@ def test_edges():
     assert opposite.shape == (4, 3, 2)
     for corner in range(3):
         assert not (opposite[:, corner] == mesh.faces[:, corner, None]).any()
+    assert mesh.edge_uses().tolist() == 6 * [2]
+    start, end = mesh.vertices[mesh.edges()].transpose(1, 0, 2)
+    assert_allclose(mesh.edge_lengths() ** 2, ((end - start) ** 2).sum(1))
+    cubes = two_cubes()
+    rim = cubes.edges()[cubes.edge_uses() == 3]
+    assert len(rim) == 4
+    assert len(np.unique(cubes.vertices[rim].reshape(-1, 3), axis=0)) == 4
+    assert_allclose(cubes.edge_lengths()[cubes.edge_uses() == 3], 1)
 
 
 def test_bounds():

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from mesh_edges import edge_valences
 from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic import InputError
@@ -44,7 +43,7 @@ def test_every_region_is_closed_and_no_four_walls_meet(seed, edge):
     labels = clump([3, 5, 8, 12][seed], seed)
     mesh = partition_mesh(labels, ONE, ZERO, edge)
     assert mesh.is_closed()
-    assert set(np.unique(edge_valences(mesh))) <= {2, 3}
+    assert set(np.unique(mesh.edge_uses())) <= {2, 3}
     assert_array_equal(mesh.region_ids(), np.unique(labels)[1:])
     for k in mesh.region_ids():
         volume = (labels == k).sum()
@@ -74,14 +73,14 @@ def test_regions_that_touch_in_an_edge_or_a_corner_only():
     labels[12:22, 12:22, 12:22] = 1  # at a corner of its own
     mesh = partition_mesh(labels, ONE, ZERO, 1.0)
     assert mesh.is_closed()
-    assert set(np.unique(edge_valences(mesh))) <= {2, 3}
+    assert set(np.unique(mesh.edge_uses())) <= {2, 3}
 
 
 def test_no_four_walls_meet_among_labels_as_small_as_two_edges():
     places = np.random.default_rng(4).uniform(2, 28, (40, 3))
     away = np.linalg.norm(np.moveaxis(np.indices((30,) * 3), 0, -1)[..., None, :] - places, axis=-1)
     labels = np.where(away.min(-1) < 7.5, away.argmin(-1) + 1, 0)
-    assert set(np.unique(edge_valences(partition_mesh(labels, ONE, ZERO, 3.0)))) <= {2, 3}
+    assert set(np.unique(partition_mesh(labels, ONE, ZERO, 3.0).edge_uses())) <= {2, 3}
 
 
 def test_a_checkerboard_ends():

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from mesh_edges import edge_valences
 from numpy.testing import assert_allclose
 
 from napari_deltamic.errors import InputError
@@ -40,7 +39,7 @@ def test_a_cell_of_a_cluster_divides(cluster, seed):
     towards = np.where(mesh.regions[own, 1] == 9, 1, -1)[:, None] * mesh.normals()[own]
     assert (towards @ normal).min() > 0.5
     assert np.percentile(smallest_angles(mesh), 1) > 25
-    assert (edge_valences(mesh) > 3).mean() < 0.001
+    assert (mesh.edge_uses() > 3).mean() < 0.001
 
 
 def test_vertices_of_other_cells_stay(cluster):

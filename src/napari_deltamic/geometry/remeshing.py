@@ -36,16 +36,12 @@ class Remeshed:
     origin
         (V,) the given vertex that each one is, moved or not; -1 for those that are new. What is
         left of the given ones keeps their order.
-    splits, collapses
-        How many edges were split and collapsed.
     """
 
     mesh: Mesh
     carried: FloatArray
     fixed: np.ndarray
     origin: IntArray
-    splits: int
-    collapses: int
 
 
 def can_remesh() -> bool:
@@ -148,7 +144,7 @@ def _kept_apart(
             return done
         trouble = np.concatenate([trouble, found])
     # By rounding.
-    return Remeshed(mesh, loads, held > 0, np.arange(len(vertices)), 0, 0)
+    return Remeshed(mesh, loads, held > 0, np.arange(len(vertices)))
 
 
 def _crossing_corners(mesh: Mesh, near: float) -> FloatArray:
@@ -185,15 +181,13 @@ def _remeshed(
         )
     except ValueError as error:  # more faces than fit the memory
         raise InputError(str(error)) from error
-    vertices, faces, regions, held_now, loads_now, origin, (splits, collapses, _) = done
+    vertices, faces, regions, held_now, loads_now, origin, _ = done
     shape = (len(vertices), *loads.shape[1:])
     return Remeshed(
         Mesh(vertices, faces, regions),
         loads_now.reshape(shape),
         held_now[:, 0] > 0,
         origin[:, 0],
-        splits,
-        collapses,
     )
 
 
