@@ -27,7 +27,7 @@ from scipy.ndimage import (
 from ..fitting.voxels.bright_regions import RULES as BRIGHT
 from ..fitting.voxels.voxel_ownership import RULES as OWNERSHIP
 from ..geometry.labels.label_repair import label_boxes
-from ..geometry.labels.voxels import voxel_labels
+from ..geometry.labels.voxels import depths, voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid
@@ -138,7 +138,7 @@ class _Cell:
 
 
 def _cell(own: Mask, light: NDArray[np.floating], spacing: NDArray[np.floating]) -> _Cell:
-    depth = distance_transform_edt(np.pad(own, 1), sampling=spacing)[1:-1, 1:-1, 1:-1]
+    depth = depths(own, spacing)
     deepest = float(depth.max())
     return _Cell(max(float(light[depth > deepest / 2].mean()), 0.0), deepest)
 

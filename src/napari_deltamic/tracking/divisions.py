@@ -7,11 +7,10 @@ from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from ..fitting.model.likelihood import voxel_noise
 from ..fitting.model.state import FitState
-from ..geometry.labels.voxels import voxel_labels
+from ..geometry.labels.voxels import depths, voxel_labels
 from ..geometry.mesh import Mesh
 from ..scene import Grid
 from .track_rules import RULES
@@ -53,10 +52,8 @@ class Residual:
 
     def deep(self, cell: int, box: tuple[slice, ...]) -> NDArray[np.bool_]:
         """Whether each voxel of a box is in a cell, beyond the blur of its surface."""
-        inside = np.pad(self.labels[box] == cell, 1)
         widths = np.asarray(self.grid.voxel_size) / self.sigma
-        depth = distance_transform_edt(inside, widths)[1:-1, 1:-1, 1:-1]
-        found: NDArray[np.bool_] = depth > _RULES.interior
+        found: NDArray[np.bool_] = depths(self.labels[box] == cell, widths) > _RULES.interior
         return found
 
     def squared(self, own: NDArray[np.bool_]) -> float:

@@ -21,7 +21,7 @@ from scipy.ndimage import (
 from skimage.segmentation import watershed
 
 from ...common.doing import doing
-from ...geometry.labels.voxels import box_around, highest, widened
+from ...geometry.labels.voxels import box_around, depths, highest, widened
 from ...scene import Grid
 from .bright_regions import Labels, Mask, bright_regions, without_thin
 
@@ -220,7 +220,7 @@ def missed(found: Labels | None, starts: Labels, grid: Grid) -> Mask:
 
 def _of_one_cell(rest: Mask, start: Mask, size: NDArray[np.floating]) -> Mask:
     """The parts that a start has missed and that are neither thin nor beyond a neck."""
-    deep = float(distance_transform_edt(np.pad(start, 1), sampling=size).max())
+    deep = float(depths(start, size).max())
     whole, _ = without_thin(rest | start, RULES.thin * deep, size)
     parts, count = label(rest & whole, _ALL_AROUND)
     depth = distance_transform_edt(rest | start, sampling=size)

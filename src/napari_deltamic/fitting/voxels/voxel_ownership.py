@@ -26,7 +26,7 @@ from ...common.ball import ball_radius
 from ...common.doing import doing
 from ...common.triple import geometric_mean
 from ...errors import InputError, RepairWarning
-from ...geometry.labels.voxels import highest, voxel_labels
+from ...geometry.labels.voxels import depths, highest, voxel_labels
 from ...geometry.mesh import Mesh
 from ...geometry.seed_points import labels_from_points
 from ...images.missing import filled
@@ -280,10 +280,9 @@ def _dark_regions(image: np.ndarray, grid: Grid, mesh: Mesh, starts: Labels) -> 
     for region in mesh.region_ids():
         doing()
         box = boxes[region - 1]
-        own = np.pad(starts[box] == region, 1)
-        deepest = np.unravel_index(distance_transform_edt(own, sampling=size).argmax(), own.shape)
+        deep = depths(starts[box] == region, size)
         corner = np.array([one.start for one in box])
-        places.append(first + size * (corner + np.asarray(deepest) - 1))
+        places.append(first + size * (corner + np.unravel_index(deep.argmax(), deep.shape)))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RepairWarning)

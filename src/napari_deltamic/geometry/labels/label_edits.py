@@ -25,6 +25,7 @@ from .checked_image import checked_image
 from .find_cells import compressed_walls
 from .region_merging import Image, Labels
 from .regions_at_points import regions_at
+from .voxels import depths
 
 Action = Literal["cell", "merge", "remove"]
 _Place = tuple[int, ...]
@@ -180,7 +181,7 @@ def _cut(
     first = np.array(centres)
     if len(centres) == 1:
         # The other cell's middle: what is hardest to get to, well inside the label.
-        deep = ndimage.distance_transform_edt(np.pad(inside, 1), voxel)[1:-1, 1:-1, 1:-1]
+        deep = depths(inside, voxel)
         # The least around, as a bright speck is hard to get to, too.
         around = tuple(int(n) for n in 1 + 2 * np.ceil(CLICKS.marker * float(deep.max()) / voxel))
         reached = ndimage.minimum_filter(_ways(cost, first, voxel), around)
@@ -287,7 +288,7 @@ def _rounded(
 ) -> NDArray[np.bool_]:
     """The part around a place, without tongues, without holes."""
     radius = CLICKS.thin * size
-    core = ndimage.distance_transform_edt(np.pad(mask, 1), voxel)[1:-1, 1:-1, 1:-1] > radius
+    core = depths(mask, voxel) > radius
     spot = np.ones(mask.shape, bool)
     spot[place] = False
     core |= mask & (ndimage.distance_transform_edt(spot, voxel) <= CLICKS.marker * size)

@@ -22,6 +22,7 @@ from ...images.missing import unmasked
 from ..mesh import FloatArray
 from ..three_numbers import three_numbers
 from .annotated_slices import filled_between
+from .voxels import depths
 
 _MANY = 1 << 16  # labels up to this number are found faster by number than by rank
 _ROUNDING = 1e-6  # um, of distances: a gap exactly as wide as asked for is closed
@@ -149,9 +150,8 @@ def _together(
     for layer in layers:
         for name, box in label_boxes(layer):
             number += 1
-            own = np.pad(layer[box] == name, 1)
-            inside = ndimage.distance_transform_edt(own, size)[1:-1, 1:-1, 1:-1]
-            own = own[1:-1, 1:-1, 1:-1]
+            own = layer[box] == name
+            inside = depths(own, size)
             claimed[box] |= own & (result[box] > 0)
             deeper = own & (inside > depth[box])
             result[box][deeper] = number

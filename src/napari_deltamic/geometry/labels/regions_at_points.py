@@ -16,7 +16,7 @@ from ..refused import Refused
 from .basins import content_of, label_basins
 from .bright_ball import ball_at, bright_ball, stands_out
 from .hollow_ball import hollow_ball
-from .voxels import widened
+from .voxels import depths, widened
 
 if TYPE_CHECKING:
     from .bright_cells import CellsFound
@@ -129,7 +129,7 @@ def _parted(
         parts[whole] = first
         return parts, dict.fromkeys(others, first)
     (box,) = ndimage.find_objects(whole.astype(np.uint8))
-    deep = ndimage.distance_transform_edt(np.pad(whole[box], 1), sampling=size)[1:-1, 1:-1, 1:-1]
+    deep = depths(whole[box], size)
     while True:
         markers = np.zeros(deep.shape, np.int32)
         for name in names:

@@ -159,6 +159,15 @@ def largest_part(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask if count < 2 else parts == 1 + np.bincount(parts.ravel())[1:].argmax()
 
 
+def depths(mask: NDArray[np.bool_], size: ArrayLike | None = None) -> FloatArray:
+    """(Z, Y, X) how deep each voxel lies in a mask, which ends where the array does.
+
+    size : um of a voxel, Z Y X; None: counted in voxels.
+    """
+    deep = ndimage.distance_transform_edt(np.pad(mask, 1), size)
+    return np.asarray(deep[1:-1, 1:-1, 1:-1])
+
+
 def box_around(*boxes: tuple[slice, ...]) -> tuple[slice, ...]:
     """The box of voxels that holds all of some boxes."""
     sides = zip(*boxes, strict=True)

@@ -20,7 +20,7 @@ from ...errors import InputError
 from ..mesh import FloatArray
 from .basins import noise_after
 from .regions_at_points import closed_regions
-from .voxels import box_around, widened
+from .voxels import box_around, depths, widened
 
 Labels = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -151,16 +151,10 @@ def _each(labels: Labels, size: FloatArray) -> Iterator[tuple[int, _Label]]:
     for name, box in enumerate(ndimage.find_objects(labels), 1):
         doing()
         own = labels[box] == name
-        depth = _depth(own, size)
+        depth = depths(own, size)
         deepest = np.array(np.unravel_index(depth.argmax(), depth.shape))
         first = [side.start for side in box]
         yield name, _Label(box, deepest + first, float(depth.max()), int(own.sum()))
-
-
-def _depth(own: Mask, size: FloatArray) -> FloatArray:
-    """um, of the voxels of a label, which ends where the array does."""
-    depth = ndimage.distance_transform_edt(np.pad(own, 1), sampling=size)
-    return np.asarray(depth[1:-1, 1:-1, 1:-1])
 
 
 def _regions(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
@@ -220,7 +214,7 @@ def _layers(
     around = widened(at.box, np.ceil(reach / seen.size) + 1, labels.shape)
     part = tuple(slice(s.start, s.stop, n) for s, n in zip(around, every.tolist(), strict=True))
     light, own, free = seen.smooth[part], labels[part] == name, labels[part] == 0
-    step, inner = float(size.min()), _depth(own, size)
+    step, inner = float(size.min()), depths(own, size)
     outer = ndimage.distance_transform_edt(~own, sampling=size)
     within = [own & (inner > k) & (inner <= k + step) for k in np.arange(0, inner.max(), step)]
     beyond = [free & (outer > k) & (outer <= k + step) for k in np.arange(0, reach, step)]

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ...errors import InputError
 from ..connected import connected
 from ..labels.partition import partition_mesh
-from ..labels.voxels import region_windings
+from ..labels.voxels import depths, region_windings
 from ..mesh import FloatArray, IntArray, Mesh
 from ..remeshing import remesh
 from .change_sizes import SIZES
@@ -113,7 +112,7 @@ class _Box:
         ):
             inside = turns > 0
             overlap[cut] |= (inside & (labels[cut] > 0)) | (turns > 1) | (turns < 0)
-            own = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1, 1:-1]
+            own = depths(inside)
             deeper = own > depth[cut]
             labels[cut][deeper], depth[cut][deeper] = region, own[deeper]
         return labels, overlap
