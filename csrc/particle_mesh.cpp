@@ -191,6 +191,7 @@ void spread_rows(const Point<T>* points, size_t count, const Grid<T>& g, const d
     const int depth = g.kernel[0].width, height = g.kernel[1].width;
     for (size_t p = 0; p < count; ++p) {
         const Point<T>& point = points[p];
+        if (point.strength == 0) continue;  // most are zero where a part of a surface shines alone
         Row<T, L> k[3], s[3];
         for (int axis = 0; axis < 3; ++axis) {
             if constexpr (dipoles) values_and_slopes<T, L>(g.kernel[axis], point.f[axis], k[axis], s[axis]);
