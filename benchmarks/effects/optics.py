@@ -95,7 +95,7 @@ def _scores(image: NDArray, true: Optics, start: Optics) -> NDArray[np.float64]:
     """(P,) error of each parameter in standard errors."""
     settings = FitSettings(fit_psf=True)
     *_, last = fit(image, GRID, sphere(CENTRE, 0.8, subdivisions=3), start, settings=settings)
-    errors = psf_standard_errors(last, GRID, np.maximum(last.rendered(), 0.5))
+    errors = psf_standard_errors(image, last, GRID, np.maximum(last.rendered(), 0.5))
     truth = {p.name: p.value for p in true.described()}
     found = {p.name: p.value for p in last.optics.described() if p.fitted}
     return np.array([(found[n] - truth[n]) / e for n, e in errors.items()])

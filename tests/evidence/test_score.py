@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from napari_deltamic.evidence.refit import Linearised
+from napari_deltamic.evidence.linearised import Linearised
 from napari_deltamic.evidence.score import block_sizes, blocks_of, equivalent_z, score
 
 RNG = np.random.default_rng(0)
@@ -14,7 +14,7 @@ BLOCKS = np.arange(N) // 100
 
 
 def at(residual):
-    return Linearised(FITTED, residual, np.ones(N), 3, 2, 0, 0, 0, np.zeros(5))
+    return Linearised(FITTED, residual, np.ones(N), 3, np.zeros((5, 5)))
 
 
 def test_no_effect_scores_like_a_normal_number():

@@ -12,42 +12,30 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RefitRules:
-    """Gauss-Newton steps over smooth modes of the shape and all other numbers.
+    """Steps of the fit with an effect more or less, and what is free beside an effect.
 
     Attributes
     ----------
-    largest_psf
-        Of one step, in the PSF's own numbers (logarithms of widths): further away the image is no
-        longer linear in them.
+    most_steps
+        Of a fit: one has gone before, so that it is near its end.
+    enough
+        Nats: steps that gain less are the last. By definition: one standard deviation, where the
+        threshold of a score is 3.5.
+    same
+        Columns of the surface hold while it moves by so many widths of the PSF at most, and the
+        image changes by such a share of itself.
     prior
         Widths of the PSF: standard deviation of what a mode may be, so that modes that no voxel
         sees stay where they are.
     prior_density
         The same of a logarithm of the density: a factor of e, since less would be evidence.
-    halvings, most_steps
-        Of a step that does not lower the loss, and of a refit: a fit has gone before, so that it
-        is near its end.
-    enough
-        Of the loss: steps that gain less are the last. The threshold of a score is 3.5 standard
-        deviations, that is 12 of a sum over thousands of voxels, of which this is a small part.
-    little
-        Of the loss: after a step that gains less the next has the same derivatives, because all
-        derivatives change as little as the image.
-    near, fresh
-        Derivatives in the surface hold while it moves by so many widths of the PSF at most, and the
-        image changes by such a share of itself: by the second for scores, by the first for steps,
-        which only have to point the right way.
     """
 
-    largest_psf: float = 0.15
+    most_steps: int = 12
+    enough: float = 0.5
+    same: tuple[float, float] = (0.03, 0.01)
     prior: float = 2.0
     prior_density: float = 1.0
-    halvings: int = 4
-    most_steps: int = 6
-    enough: float = 2e-5
-    little: float = 1e-2
-    near: tuple[float, float] = (0.3, 0.15)
-    fresh: tuple[float, float] = (0.03, 0.01)
 
 
 @dataclass(frozen=True)

@@ -191,7 +191,8 @@ def _lacking(
         yield _INSIDE, _inside(posed, state)
     for name in chosen_candidates(None, state.effects):
         for effect in variants(name, state.optics):
-            if allowed(effect, state.effects) and effect.bounds:
+            fits = posed.posterior.pads_enough_for(posed.at, effect)
+            if fits and allowed(effect, state.effects) and effect.bounds:
                 columns = posed.posterior.columns_of(posed.at, effect)
                 if columns.any() and points_inwards(effect, responses.amplitudes(columns)):
                     yield name, columns

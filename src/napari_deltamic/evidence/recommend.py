@@ -22,7 +22,6 @@ from .camera import Camera, camera_from_image, failed_slices
 from .candidates import chosen_candidates, points_inwards
 from .effect_cost import EffectCosts
 from .evidence_rules import JUDGING
-from .fitted_scene import FittedScene
 from .search import Judged, Search
 from .voxel_variance import voxel_variance
 
@@ -81,7 +80,7 @@ class Recommendation:
     effects: Effects
     evidence: tuple[Evidence, ...]
     threshold: float
-    scene: FittedScene
+    scene: FitState
     camera: Camera
     remarks: tuple[str, ...] = ()
 
@@ -201,7 +200,7 @@ def _outcome(
     evidence = []
     for name in names:
         judged = search.judged(name)
-        bias = search.refit.modes.size(judged.score.shape)
+        bias = search.model.modes.size(judged.score.shape)
         clear = abs(judged.score.z) > search.threshold
         evidence.append(
             Evidence(
@@ -277,7 +276,7 @@ def _remarks(search: Search, voxel: float) -> tuple[str, ...]:
         )
     density = search.density()
     if density is not None and abs(density.z) > search.threshold:
-        bias = search.refit.modes.size(density.shape)
+        bias = search.model.modes.size(density.shape)
         if bias >= JUDGING.negligible * voxel:
             found.append(
                 f"the density varies over the surface (z = {density.z:.1f}): fitted as uniform, "

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtri_exp
 
 from .evidence_rules import JUDGING
-from .refit import Linearised
+from .linearised import Linearised
 
 _RANK = 1e-6  # of what numbers tell: less is none. Measured: 1e-9 and 1e-3 change no score
 

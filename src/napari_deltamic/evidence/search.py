@@ -15,10 +15,8 @@ from ..scene.effects import Effect, Effects
 from .candidates import allowed, at_estimate, beyond_bounds, points_inwards, variants
 from .crop import crop_of
 from .evidence_rules import JUDGING
-from .fitted_scene import FittedScene
-from .image_model import ImageModel, parameters_of
-from .modes import density_fields, shape_modes
-from .refit import Refit
+from .modes import density_fields
+from .part_model import PartModel, Settled
 from .score import Score, block_sizes, score
 from .voxel_variance import Variance
 
@@ -75,22 +73,24 @@ class Search:
         self.part = part = crop_of(usable, grid, fitted.mesh, density, width)
         index = part.index
         self.blocks = block_sizes(index, part.grid.shape, width / np.asarray(grid.voxel_size))
-        scene = FittedScene.of_state(fitted, effects, part.mesh, part.density)
-        self.held = scene.effects.names
+        self.held = effects.names
         self.dropped: dict[str, str] = {}  # name -> why; they are not taken twice
-        self.frame, self.image = grid, image
-        self.model = ImageModel(scene, part.grid, index, JUDGING.accuracy, frame=grid)
-        measured = image[part.box].reshape(-1)[index].astype(np.float64)
-        modes = shape_modes(part.mesh, part.cells)
-        fields = density_fields(part.mesh, settings.density, part.cells)
-        self.refit = Refit(self.model, measured, variance, modes, settings.fit_psf, fields)
+        self.model = PartModel(part, image, grid, variance, settings)
         # The criterion of G. Schwarz for one more number, with a share for each that is tried.
         self.threshold = sqrt(log(len(index)) + 2 * log(max(candidates, 1)))
-        self._settle(scene)
+        even = np.ones(len(part.mesh.faces))
+        weights = even if part.density is None else part.density
+        state = replace(fitted, mesh=part.mesh, density=weights, effects=effects)
+        self._take_up(self.model.begun(state))
 
-    def _settle(self, scene: FittedScene) -> None:
-        self.scene, self.at = self.refit.settled(self.refit.scaled(scene))
+    def _take_up(self, settled: Settled) -> None:
+        self.now = settled
         self._judged: dict[str, Judged] = {}
+
+    @property
+    def scene(self) -> FitState:
+        """What was fitted, of the part that is judged."""
+        return self.now.state
 
     def run(self, names: tuple[str, ...], tell: Callable[[str], None]) -> None:
         """Add the clearest effect and refit until none is left above the threshold.
@@ -120,7 +120,8 @@ class Search:
 
     def _take(self, best: Judged) -> None:
         effect = at_estimate(best.effect, best.score.estimate)
-        self._settle(self.scene.with_effects(self.scene.effects.adding(effect)))
+        effects = self.scene.effects.adding(effect)
+        self._take_up(self.model.with_effects(self.now, effects, -best.score.shape))
 
     def _drop_least(self, size: Callable[[Score], float], why: str) -> str | None:
         """Take out the effect of the smallest score if it is not above the threshold.
@@ -142,7 +143,8 @@ class Search:
             return None
         name = least.effect.name
         self.dropped[name] = _AT_BOUND if beyond_bounds(least.effect) else why
-        self._settle(self.scene.with_effects(self.scene.effects.without(name)))
+        effects = self.scene.effects.without(name)
+        self._take_up(self.model.with_effects(self.now, effects, least.score.shape))
         return name
 
     def judged(self, name: str) -> Judged:
@@ -157,33 +159,25 @@ class Search:
             return Judged(present, self._without(present), True)
         found = []
         for effect in variants(name, self.scene.optics):
-            columns = self._columns(effect)
-            found.append(Judged(effect, score(self.at, columns, self.blocks), False))
+            told = score(self.now.linearised, self.now.columns(effect), self.blocks)
+            found.append(Judged(effect, told, False))
         return max(found, key=lambda j: abs(j.score.z))
 
     def misfit(self) -> float:
         """Mean square of what is left, in variances of noise: 1 where the scene explains all."""
-        return float((self.at.rest**2).mean())
+        return float((self.now.linearised.rest**2).mean())
 
     def density(self) -> Score | None:
         """The score of a density that varies smoothly; None where one is fitted already."""
-        if len(self.refit.density):
+        if self.model.density_fitted or not self.scene.light.membrane:
             return None
         fields = density_fields(self.scene.mesh, "smooth", self.part.cells)
-        columns = self.model.density_columns(self.scene, fields)
-        return score(self.at, columns, self.blocks)
-
-    def _columns(self, effect: Effect) -> np.ndarray:
-        if not allowed(effect, self.scene.effects):
-            # Beside what passes for it the two cannot be rendered together; alone they can.
-            others = self.scene.effects.without(*effect.contradicts)
-            return self.model.effect_columns(self.scene.with_effects(others), effect)
-        return self.model.effect_columns(self.scene, effect)
+        columns = self.model.density_columns(self.now, fields)
+        return score(self.now.linearised, columns, self.blocks)
 
     def _without(self, effect: Effect) -> Score:
         """As if the scene had been fitted without the effect, linearly."""
-        at, columns = self.at, self.model.effect_columns(self.scene, effect)
-        own = self._own_columns(effect)
+        at, columns = self.now.linearised, self.now.columns(effect)
         neutral = type(effect).neutral()
         if effect.bounds:
             change = effect.parameters().numpy() - neutral.parameters().numpy()
@@ -191,16 +185,9 @@ class Search:
             change[[value.name in effect.tried_widths for value in effect.values()]] = 0.0
         else:
             change = np.ones(1)
-        without = at.without(own, at.residual + (columns @ change) * at.root)
+        residual = at.residual + (columns @ change) * at.root
+        without = at.without(self.now.own_columns(effect), residual)
         return score(without, columns, self.blocks)
-
-    def _own_columns(self, effect: Effect) -> np.ndarray:
-        first = self.at.modes + self.at.light + self.at.psf
-        for other, n in parameters_of(self.scene.effects):
-            if other.name == effect.name:
-                return np.arange(first, first + n)
-            first += n
-        return np.zeros(0, int)
 
     def left_in(self, where: np.ndarray) -> tuple[float, float]:
         """What voxels that tell nothing do to a fit that they are left in.
@@ -220,26 +207,7 @@ class Search:
         index = np.flatnonzero(where[self.part.box])
         if not len(index):
             return 0.0, 0.0
-        model = ImageModel(self.scene, self.part.grid, index, JUDGING.accuracy, frame=self.frame)
-        rendered = model.rendered(self.scene)
-        expected = model.measured(rendered, self.scene)
-        root = 1 / np.sqrt(self.refit.variance(expected))
-        measured = self.image[self.part.box].reshape(-1)[index]
-        columns = np.concatenate(
-            [
-                model.shape_columns(self.scene, self.refit.modes),
-                model.light_columns(self.scene, rendered),
-            ],
-            axis=1,
-        )
-        whole = np.zeros((len(index), self.at.columns.shape[1]))
-        whole[:, : columns.shape[1]] = columns * root[:, None]
-        residual = (measured - expected) * root
-        both = replace(
-            self.at,
-            columns=np.concatenate([self.at.columns, whole]),
-            residual=np.concatenate([np.zeros(len(self.at.residual)), residual]),
-        )
-        shape = both.solve(both.residual)[: self.at.modes]
+        both = self.model.with_voxels(self.now, index)
+        shape, residual = both.solve(both.residual)[: both.modes], both.residual[-len(index) :]
         excess = float((residual**2).sum()) - len(index)
-        return excess / sqrt(2 * len(index)), self.refit.modes.size(shape)
+        return excess / sqrt(2 * len(index)), self.model.modes.size(shape)

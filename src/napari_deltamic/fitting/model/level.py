@@ -131,6 +131,8 @@ class Level:
     foreign
         (Z, Y, X) bool: voxels of objects that no mesh describes; None if there are none, and at
         blurred levels.
+    frame
+        Grid of the whole image, where this one is a piece of it.
     """
 
     def __init__(
@@ -146,12 +148,13 @@ class Level:
         spread: float = 0.0,
         own_optics: GaussianPSF | None = None,
         foreign: np.ndarray | None = None,
+        frame: Grid | None = None,
     ) -> None:
         self.factor = factor
         self.foreign = foreign
         self.optics = own_optics
         self.settings = settings
-        self.frame = grid
+        self.frame = frame or grid
         self._second = second
         shape = level_shape(grid, optics, settings, factor)
         self.blur, self.accuracy, self.width = shape.blur, shape.accuracy, shape.width

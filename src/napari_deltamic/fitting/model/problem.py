@@ -38,6 +38,8 @@ class Problem:
     anew
         How often it was found anew which voxels are foreign (:mod:`.ground_again`); None where that
         is given, and not to be found.
+    frame
+        Grid of the whole image, where this one is a piece of it.
 
     Raises
     ------
@@ -52,6 +54,7 @@ class Problem:
     foreign: np.ndarray | None = None
     hot: int = 0
     anew: int | None = None
+    frame: Grid | None = None
 
     def __post_init__(self) -> None:
         _check_enough(self.counted)
@@ -121,7 +124,7 @@ class Problem:
         foreign = None
         if self.foreign is not None and factor == 1:
             foreign = self.foreign & self._known_with(effects)
-        level = Level(self.image, counted, *given, other, spread, foreign=foreign)
+        level = Level(self.image, counted, *given, other, spread, foreign=foreign, frame=self.frame)
         seen = None if second is None else second.level(*given)
         return level, seen if seen is not None and seen.usable else None
 

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from ...geometry.mesh import FloatArray
 from ...scene.light import INSIDES, Light
+from ..model.imaging import Imaging
+from ..model.level import Voxels
 from ..model.likelihood import Match, explained, products, total
 from ..model.variables import Variables
 from .prediction import Prediction, as_floats
@@ -48,8 +50,19 @@ class Posterior(Prediction):
 
     def with_measured(self, measured: Tensor) -> Posterior:
         """The same with another first image, (N,) where voxels count; weights stay."""
+        return self.with_voxels(replace(self._views[0].voxels, measured=measured))
+
+    def with_imaging(self, imaging: Imaging) -> Posterior:
+        """The same with another PSF and other effects, for which its images are planned."""
+        prior = replace(self._prior, imaging=imaging)
+        return Posterior(
+            self._level, self._renderer, self._views, prior, self._density_fitted, self._structure
+        )
+
+    def with_voxels(self, voxels: Voxels) -> Posterior:
+        """The same with other voxels of the first image that count."""
         first, *others = self._views
-        views = [replace(first, voxels=replace(first.voxels, measured=measured)), *others]
+        views = [replace(first, voxels=voxels), *others]
         return Posterior(
             self._level, self._renderer, views, self._prior, self._density_fitted, self._structure
         )

@@ -15,7 +15,7 @@ from ...geometry.mesh import FloatArray, Mesh
 from ...optics import Optics
 from ...scene import Renderer
 from ...scene.columns import Now, effect_columns, optics_columns
-from ...scene.effects import Effect, Effects
+from ...scene.effects import DepthEffect, Effect, Effects, FaceEffect
 from ...scene.light import INSIDES, MEMBRANES, Light
 from ..model.amplitudes import light_of
 from ..model.level import Level, Voxels
@@ -318,27 +318,46 @@ class Prediction:
     def columns_of(self, at: Variables, effect: Effect) -> FloatArray:
         """(N, E) derivatives of the first measured image by the numbers of a further effect.
 
-        No column (E = 0) for one that reaches further than images are padded for.
+        Instead of those that pass for it. For one without numbers, the whole difference that it
+        makes.
         """
-        effects = self._prior.imaging.effects_of(at.effects).adding(effect)
-        if not self._renderer.pads_enough_for(effects, self._prior.imaging.optics):
-            return np.zeros((len(self._views[0].voxels.index), 0))
         with torch.no_grad():
             now = self._now(at, effect)
-            return _stacked(effect_columns(now, effect), len(now.image))
+            if effect.bounds:
+                return _stacked(effect_columns(now, effect), len(now.image))
+            without = self._with(now.effects.without(effect.name))
+            spectrum = now.transform(without)
+            plain = self._image(self._views[0], without, spectrum, now.optics)
+            return _stacked([now.amplitude * (now.image - now.voxels.of(plain))], len(now.image))
+
+    def pads_enough_for(self, at: Variables, effect: Effect) -> bool:
+        """Whether a further effect reaches no further than images are padded for."""
+        effects = _with_further(self._prior.imaging.effects_of(at.effects), effect)
+        return self._renderer.pads_enough_for(effects, self._prior.imaging.optics)
+
+    def membranes(self, at: Variables, densities: FloatArray) -> FloatArray:
+        """(N,) the first image of membranes of given densities (F,), of amplitude 1."""
+        with torch.no_grad():
+            unknowns, view = self._unknowns(at), self._views[0]
+            renderer = self._with(self._prior.imaging.effects_of(at.effects))
+            weights = torch.from_numpy(densities).to(unknowns.vertices)
+            spectrum = renderer.transform(unknowns.vertices, weights, MEMBRANES)
+            optics = self._optics(unknowns)
+            return as_floats(view.voxels.of(self._image(view, renderer, spectrum, optics)))
 
     def _now(self, at: Variables, further: Effect | None = None) -> Now:
         view = self._views[0]
         unknowns = self._unknowns(at)
         optics = self._optics(unknowns)
-        effects = self._prior.imaging.effects_of(at.effects)
-        effects = effects if further is None else effects.adding(further)
+        present = self._prior.imaging.effects_of(at.effects)
+        effects = present if further is None else _with_further(present, further)
         renderer = self._with(effects)
         otf = renderer.otf(optics)
-        if self._shone is not None and self._shone[0] is at and further is None:
-            shining = self._shone[1]
-        else:
+        if self._shone is None or self._shone[0] is not at or _on_object(present, further):
             shining = self._shining(renderer, unknowns, otf)
+        else:
+            shining = self._shone[1]
+            shining = shining if further is None else replace(shining, image=None)
         spectrum, light = shining.spectrum, shining.light
         image = view.voxels.of(self._level.rendered(renderer, spectrum, otf, shining.image))
         _, found = match(image, self._measured(view, effects), view.voxels.weights)
@@ -354,6 +373,18 @@ class Prediction:
             view.voxels,
             found.amplitude,
         )
+
+
+def _with_further(effects: Effects, further: Effect) -> Effects:
+    return effects.without(*further.contradicts).adding(further)
+
+
+def _on_object(present: Effects, further: Effect | None) -> bool:
+    """Whether a further effect changes the transforms of what shines."""
+    if further is None:
+        return False
+    instead = any(name in present.names for name in further.contradicts)
+    return instead or isinstance(further, (FaceEffect, DepthEffect))
 
 
 def _stacked(columns: Sequence[Tensor], rows: int) -> FloatArray:

@@ -86,7 +86,7 @@ class Curvature:
         self._weights, self._residual = np.concatenate(weights), np.concatenate(residuals)
         self._jacobian: sp.csr_matrix = sp.vstack(scaled).tocsr() @ sp.diags(self._free)
         amplitudes = np.concatenate(columns)
-        insides = [np.concatenate(posterior.images(at, one)) for one in _insides(light)]
+        insides = [np.concatenate(posterior.images(at, one)) for one in following_insides(light)]
         amplitudes = np.column_stack([amplitudes, *insides])
         self._own = _with_imaging(amplitudes, posterior, at)
         self._factor(posterior, at)
@@ -210,7 +210,7 @@ class Curvature:
         )
 
 
-def _insides(light: Light) -> list[Light]:
+def following_insides(light: Light) -> list[Light]:
     """Insides whose brightness follows the surface; where they shine alone, one is the scale."""
     if not light.interior:
         return []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...errors import InputError
@@ -25,6 +27,9 @@ def posed_at(
     state: FitState,
     settings: FitSettings | None = None,
     may_count: np.ndarray | None = None,
+    *,
+    frame: Grid | None = None,
+    density_fitted: bool = False,
 ) -> Posed:
     """The objective of the last level, from where a fit has ended.
 
@@ -38,6 +43,10 @@ def posed_at(
         Those of the fit.
     may_count
         (Z, Y, X) bool: voxels that may count; None for all.
+    frame
+        Grid of the whole image, where this one is a piece of it.
+    density_fitted
+        Whether densities are unknowns, or held.
 
     Raises
     ------
@@ -47,7 +56,7 @@ def posed_at(
     settings = settings or FitSettings()
     if state.effects.view is not None:
         raise InputError("exact errors are there for one view only")
-    problem = Problem.of(image, grid, may_count)
+    problem = replace(Problem.of(image, grid, may_count), frame=frame)
     if settings.accuracy is None:
         accuracy = accuracy_for_image(problem.image, problem.counted)
         settings = settings.model_copy(update={"accuracy": accuracy})
@@ -61,4 +70,4 @@ def posed_at(
     fitted = Fitted(
         shape, optics, state.effects, optics, state.effects, structure, state.light, state.dimmed
     )
-    return pose((level, None), fitted, density, imaging, density_fitted=False, tempered=True)
+    return pose((level, None), fitted, density, imaging, density_fitted, tempered=True)
