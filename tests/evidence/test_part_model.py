@@ -18,6 +18,7 @@ from napari_deltamic.scene.effects import (
     DepthPSF,
     Effects,
     Halo,
+    Missing,
     PixelIntegration,
 )
 from napari_deltamic.scene.light import INSIDES, MEMBRANES, Light
@@ -97,6 +98,13 @@ def test_columns_of_an_effect_are_those_of_whole_images(effect):
         by, with_it, without = found.columns(effect)[:, 0], rest.adding(effect), rest
     up, down = (seen(expected(replace(found.state, effects=e))) for e in (with_it, without))
     assert near(by, up - down)
+
+
+def test_effects_that_name_voxels_of_the_whole_image_stay():
+    held = Effects.of(Missing(slices=(0, 13)), Attenuation(per_um=0.1))
+    _, found, _ = settled(state(held), PIECE)
+    assert found.state.effects.missing == held.missing
+    assert found.state.effects.attenuation.per_um == pytest.approx(0.1, rel=0.2)
 
 
 def test_an_effect_is_found_by_steps_of_the_fit_and_left_out_again():

@@ -18,13 +18,12 @@ from ..fitting.objective.metric import Metric
 from ..fitting.objective.posed import Posed
 from ..fitting.objective.posterior import Evaluation, Posterior
 from ..fitting.objective.prediction import as_floats
-from ..fitting.solvers.preconditioner import NEAR_JUNCTIONS, Preconditioners
 from ..fitting.uncertainty.curvature import following_insides
 from ..fitting.uncertainty.errors_of_measures import posed_at
 from ..geometry.mesh import FloatArray, IntArray
 from ..runs.settings import FitSettings
 from ..scene import Grid
-from ..scene.effects import Effect, Effects, ViewEffect
+from ..scene.effects import Effect, Effects, ViewEffect, VoxelEffect
 from .crop import Crop
 from .evidence_rules import JUDGING, REFIT
 from .linearised import Linearised
@@ -132,17 +131,8 @@ class PartModel:
     def begun(self, state: FitState) -> Settled:
         """From a state of the part on."""
         self._posed = posed = self._pose(state)
-        level = posed.posterior.level
-        self._metric = Metric(
-            Preconditioners(),
-            Shape.begun(state.mesh, self._settings.density).with_pins(self._held),
-            level.smoothing,
-            self._settings.bending,
-            posed.firmness,
-            level.width,
-            NEAR_JUNCTIONS,
-            True,
-        )
+        shape = Shape.begun(state.mesh, self._settings.density).with_pins(self._held)
+        self._metric = Metric.at_end(posed, shape, self._settings, density_fitted=True)
         now = posed.posterior(posed.at)
         posterior = self._of_voxels(posed.posterior, posed.at, now, self._part.index)
         return self._settled(state, posterior, posed.at)
@@ -153,7 +143,7 @@ class PartModel:
         # Further away the image is not linear.
         far = float(np.abs(vertices).max()) / before.posterior.level.width
         vertices = before.at.vertices + vertices / max(far, 1.0)
-        own = _of_one_view(effects)
+        own = _of_part(effects)
         imaging = replace(before.imaging, optics=before.state.optics, effects=own)
         optics, numbers = imaging.numbers()
         at = replace(before.at, vertices=vertices, optics=optics, effects=numbers)
@@ -178,7 +168,7 @@ class PartModel:
         renderer = self._posed.renderer
         planned = renderer.scene.optics
         sharp = np.greater_equal(state.optics.width(), planned.width()).all()
-        padded = renderer.pads_enough_for(_of_one_view(state.effects), planned)
+        padded = renderer.pads_enough_for(_of_part(state.effects), planned)
         return bool(sharp) and padded
 
     def with_voxels(self, settled: Settled, index: IntArray) -> Linearised:
@@ -196,7 +186,7 @@ class PartModel:
         return np.stack(found, 1)
 
     def _pose(self, state: FitState) -> Posed:
-        one = replace(state, effects=_of_one_view(state.effects), dimmed=None)
+        one = replace(state, effects=_of_part(state.effects), dimmed=None)
         given = self._image, self._part.grid, one, self._settings, self._counted
         return posed_at(*given, frame=self._frame, density_fitted=True)
 
@@ -243,8 +233,11 @@ class PartModel:
         return Linearised(weighted, residual * root, root, modes, prior)
 
 
-def _of_one_view(effects: Effects) -> Effects:
-    return effects.in_role(ViewEffect, None)
+def _of_part(effects: Effects) -> Effects:
+    """Those of its image; which voxels of the whole one tell nothing is told already."""
+    detector = effects.detector
+    effects = effects.in_role(ViewEffect, None).in_role(VoxelEffect, None)
+    return effects if detector is None else effects.adding(detector)
 
 
 def _solved_for(posterior: Posterior, at: Variables, now: Evaluation) -> list[FloatArray]:

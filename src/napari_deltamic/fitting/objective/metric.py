@@ -6,9 +6,11 @@ import numpy as np
 import torch
 
 from ...geometry.mesh import FloatArray
+from ...runs.settings import FitSettings
 from ..model.shape import Shape
 from ..model.variables import Variables
-from ..solvers.preconditioner import Preconditioners
+from ..solvers.preconditioner import NEAR_JUNCTIONS, Preconditioners
+from .posed import Posed
 
 # Of a log density against a displacement by one width of the blurred PSF, both squared: both
 # change the image alike, but densities are smoothed once, displacements twice. Measured: half and
@@ -72,6 +74,16 @@ class Metric:
             self._smoother = factored.of(mesh, 1.0, None, at_junctions)
         self._imaging: FloatArray = np.zeros((0, 0))
         self._insides: FloatArray = np.zeros(0)
+
+    @classmethod
+    def at_end(
+        cls, posed: Posed, shape: Shape, settings: FitSettings, density_fitted: bool
+    ) -> Metric:
+        """Where a fit has ended, or nearly so."""
+        level, prepared = posed.posterior.level, Preconditioners()
+        smoothing, bending, firmness = level.smoothing, settings.bending, posed.firmness
+        given = smoothing, bending, firmness, level.width, NEAR_JUNCTIONS, density_fitted
+        return cls(prepared, shape, *given)
 
     def measure(self, curvature: FloatArray, insides: FloatArray) -> None:
         """Take the second derivatives (P + E, P + E) by PSF and effects, and (R,) by insides."""

@@ -23,7 +23,6 @@ from ..objective.metric import Metric
 from ..objective.posed import Posed
 from ..objective.prediction import as_floats
 from ..solvers.lbfgs import Learnt
-from ..solvers.preconditioner import NEAR_JUNCTIONS, Preconditioners
 
 
 @dataclass(frozen=True)
@@ -112,16 +111,7 @@ class Refits:
         each = float(shape.mesh.areas().sum()) / len(shape.mesh.region_ids())
         wanted = RULES.patches * (2 * level.width) ** 2 / each
         self.draws = int(np.clip(np.ceil(wanted), 1, RULES.most_draws))
-        self._metric = Metric(
-            Preconditioners(),
-            shape,
-            level.smoothing,
-            settings.bending,
-            posed.firmness,
-            level.width,
-            NEAR_JUNCTIONS,
-            False,
-        )
+        self._metric = Metric.at_end(posed, shape, settings, density_fitted=False)
         self._learnt: Learnt | None = None
         now = self._posterior(self._at)
         self._image = as_floats(view.voxels.of(now.rendered))
