@@ -17,13 +17,13 @@ class RefitRules:
     Attributes
     ----------
     most_steps
-        Of a fit: one has gone before, so that it is near its end.
+        Of a fit: one has gone before, so that it is near its end. Chosen: most end after five.
     enough
-        Nats: steps that gain less are the last. By definition: one standard deviation, where the
+        Nats: steps that gain less are the last. By definition one standard deviation, where the
         threshold of a score is 3.5.
     same
         Columns of the surface hold while it moves by so many widths of the PSF at most, and the
-        image changes by such a share of itself.
+        image changes by such a share of itself. Chosen: columns then change as little.
     prior
         Widths of the PSF: standard deviation of what a mode may be, so that modes that no voxel
         sees stay where they are.
