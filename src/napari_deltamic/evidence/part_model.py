@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from ..fitting.model.imaging import Imaging
@@ -209,13 +210,15 @@ class PartModel:
 
     def _on_surface(self, posterior: Posterior, at: Variables, now: Evaluation) -> list[FloatArray]:
         """(N,) each: for shape modes, and fields of the density."""
-        image = as_floats(posterior.views[0].voxels.of(now.rendered))
-        columns: list[FloatArray] = []
+        shown = _Shown(posterior, self._part.mesh.faces, now)
+        before, which, columns = np.zeros(0), np.zeros(0, bool), list[FloatArray]()
         for field in self.modes.fields:
             h = _MOVE * posterior.level.width / max(float(np.abs(field).max()), 1e-12)
+            moves = (field != 0).any(1)
+            if not np.array_equal(moves, which):  # several modes move the same vertices
+                before, which = shown(at, moves), moves
             there = replace(at, vertices=at.vertices + h * field)
-            change = posterior.images(there, now.light)[0] - image
-            columns.append(now.match.amplitude / h * change)
+            columns.append(now.match.amplitude / h * (shown(there, moves) - before))
         return columns + _dimmed(posterior, at, now, self._fields)
 
     def _linearised(self, posterior: Posterior, at: Variables, now: Evaluation) -> Linearised:
@@ -231,6 +234,25 @@ class PartModel:
         prior = block_diag(np.diag(firm), posterior.prior.imaging.prior_curvature())
         weighted = (np.array(columns) * root).T
         return Linearised(weighted, residual * root, root, modes, prior)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """(N,) what changes of an image where some vertices (V,) move; of amplitude 1.
+
+    Of membranes alone, only faces that move are rendered. faces : (F, 3).
+    """
+
+    posterior: Posterior
+    faces: IntArray
+    now: Evaluation
+
+    def __call__(self, at: Variables, moves: NDArray[np.bool_]) -> FloatArray:
+        light, posterior = self.now.light, self.posterior
+        if light.interior:
+            return posterior.images(at, light)[0]
+        own = light.membrane * posterior.prior.density.faces_numpy(at.density)
+        return posterior.membranes(at, own * moves[self.faces].any(1))
 
 
 def _of_part(effects: Effects) -> Effects:
