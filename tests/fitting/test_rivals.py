@@ -1,6 +1,5 @@
-"""Which of several fits goes on, where one may be stuck."""
+"""Whether insides alone explain as much as both."""
 
-from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,78 +8,15 @@ import pytest
 from napari_deltamic.fitting.model.shape import Shape
 from napari_deltamic.fitting.objective.fit_objective import Objective
 from napari_deltamic.fitting.rivals import rival_structures, small_cells
-from napari_deltamic.fitting.rivals.rival_structures import _explains_more, best_of, moved_in
+from napari_deltamic.fitting.rivals.gains import gains_over
+from napari_deltamic.fitting.rivals.rival_structures import (
+    errors_asked,
+    gains_exceed_error,
+    moved_in,
+)
 from napari_deltamic.geometry import Mesh, box, sphere
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
-
-
-@dataclass(frozen=True)
-class Fit:
-    """As much of a fit as is asked of it."""
-
-    structure: str = "both"
-    shape: str = "found"
-
-    def with_structure(self, structure):
-        return replace(self, structure=structure)
-
-    def retriangulated(self, shape):
-        return replace(self, shape=shape)
-
-
-@dataclass(frozen=True)
-class Terms:
-    imaging_fitted: bool = True
-
-
-@dataclass(frozen=True)
-class End:
-    fitted: Fit
-    left: float
-
-
-def chosen(monkeypatch, start="start", surely=True, **left):
-    """The fit that goes on where each leaves so much; others leave 10 times as much."""
-
-    def descend_and_pose_anew(fit):
-        return End(fit, left.get(f"{fit.structure}_{fit.shape}", 10.0)), 3
-
-    monkeypatch.setattr(rival_structures, "begun", lambda terms, fit, factored: fit)
-    monkeypatch.setattr(rival_structures, "_explains_more", lambda one, other: surely)
-    monkeypatch.setattr(rival_structures, "descend_and_pose_anew", descend_and_pose_anew)
-    fit, taken = best_of(Terms(), Fit(), start)
-    assert taken == (15 if start else 9)
-    assert fit.structure == "both"
-    return fit.shape
-
-
-@pytest.mark.parametrize(
-    ("left", "shape"),
-    [(0.9, "start"), (1.0, "start"), (1.01, "start"), (1.04, "found"), (3.0, "found")],
-)
-def test_both_from_the_start_go_on_where_they_explain_as_much(monkeypatch, left, shape):
-    assert chosen(monkeypatch, both_found=1.0, both_start=left) == shape
-
-
-@pytest.mark.parametrize(("left", "shape"), [(0.9, "start"), (0.97, "found"), (1.0, "found")])
-def test_membranes_from_the_start_have_to_explain_more(monkeypatch, left, shape):
-    assert chosen(monkeypatch, both_found=1.0, membrane_start=left) == shape
-
-
-def test_membranes_have_to_explain_more_all_over(monkeypatch):
-    """Smooth ones make up for chromatin: onto it, a nucleus shrank to half its volume."""
-    left = {"both_found": 1.0, "membrane_start": 0.9}
-    assert chosen(monkeypatch, surely=False, **left) == "found"
-
-
-def test_what_explains_most_comes_first(monkeypatch):
-    left = {"both_found": 1.0, "both_start": 1.01, "membrane_found": 0.8}
-    assert chosen(monkeypatch, **left) == "found"
-
-
-def test_without_a_start_the_fit_goes_on(monkeypatch):
-    assert chosen(monkeypatch, None, both_found=1.0) == "found"
 
 
 @pytest.mark.skipif(not can_remesh(), reason="the compiled extension is missing")
@@ -117,7 +53,8 @@ def answer(gains, asked="auto"):
 def compared(evened, measured, asked="auto"):
     gains = {True: np.asarray(evened), False: np.asarray(measured)}
     losses = {k: -g for k, g in gains.items()}
-    return _explains_more(answer(gains, asked), answer(losses, asked))
+    one, other = answer(gains, asked), answer(losses, asked)
+    return gains_exceed_error(gains_over(one, other), errors_asked(one))
 
 
 EVERYWHERE = np.full(100, 1.0)

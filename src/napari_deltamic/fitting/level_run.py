@@ -85,8 +85,8 @@ class LevelRun:
 
     def end(self, went: bool) -> LevelRun:
         """What is decided between this level and the next, and that one; went : it took steps."""
-        if went and not self._undone() and self.usable:
-            self._look_for_rivals()
+        if went:
+            self._undo_if_astray()
         at = self.at
         self._go_on_with(self._context.upkeep.end_level(at.fitted, at.settings, at.stage.iteration))
         stage = replace(self.at.stage, level_number=at.stage.level_number + 1)
@@ -101,26 +101,14 @@ class LevelRun:
             fitted, taken = at.choice.of_small_again(self.terms, self.at.fitted)
             self.at = self.at.holding(fitted).spent(taken)
 
-    def _undone(self) -> bool:
-        """Undo a coarse level at which a cell drifted away from its start; True if undone."""
+    def _undo_if_astray(self) -> None:
+        """Undo a coarse level at which a cell drifted away from its start."""
         at, before = self.at, self._before
         astray = not at.last and strayed_off(before.mesh, at.fitted.mesh)
-        if not astray or at.stage.edited:
-            return False
-        self.at = at.holding(before)
-        self._context.reporter.say(_UNDONE)
-        self._context.reporter.other_mesh(before.mesh)
-        return True
-
-    def _look_for_rivals(self) -> None:
-        """Go on with the best of what may shine, where the fit may be stuck."""
-        at, start = self.at, self._context.untouched(self.at)
-        fitted, taken = at.choice.beside_rivals(
-            self.terms, self.objective, at.fitted, at.stage, start
-        )
-        self.at = at.holding(fitted).spent(taken)
-        if not np.array_equal(fitted.mesh.faces, at.fitted.mesh.faces):
-            self._context.reporter.other_mesh(fitted.mesh)
+        if astray and not at.stage.edited:
+            self.at = at.holding(before)
+            self._context.reporter.say(_UNDONE)
+            self._context.reporter.other_mesh(before.mesh)
 
     # --------------------------------------------------------------------------- the objective
 

@@ -16,7 +16,6 @@ from .rivals.hidden_membranes import RULES as HIDDEN
 from .rivals.hidden_membranes import membranes_as_well
 from .rivals.rival_structures import RULES as RIVALS
 from .rivals.rival_structures import (
-    best_of,
     insides_alone,
     is_uneven,
     with_even_membranes,
@@ -86,22 +85,6 @@ class ModelChoice:
         fitted = fitted if found is None else found
         small = all_small(fitted.mesh, fitted.optics, RULES.clearly)
         return (fitted if small else fitted.with_structure("both")), taken
-
-    def beside_rivals(
-        self, terms: Terms, objective: Objective, fitted: Fitted, stage: Stage, start: Shape | None
-    ) -> tuple[Fitted, int]:
-        """A fit of insides that is stuck goes on elsewhere, once the last levels come next.
-
-        And the evaluations that finding out took. Also where a user has asked for both: a haze that
-        a dark inside stands for leads such a fit astray as well. start : where it began, if cells
-        are the same.
-        """
-        follow = self.levels - 1 - stage.level_number
-        if not (1 <= follow <= RIVALS.levels and fitted.structure == "both"):
-            return fitted, 0
-        if objective.structure().structure == "membrane":
-            return fitted, 0
-        return best_of(terms, fitted, start)
 
     def asked_anew(
         self,

@@ -1,10 +1,9 @@
-"""Whether a fit of insides is one of membranes that got stuck.
+"""Whether insides alone explain an image as well as membranes and insides together.
 
-Near the answer one fit of both tells which of them the image needs (:mod:`.structure_choice`). It
-may end far from it: within the blur, an inside that is darker or brighter makes up for a surface
-that lies elsewhere, and both together stay there. Either alone does not. So where insides seem to
-shine, a few steps are taken with each as well: one alone that surely explains more than both is
-proof, as both could do the same. And so are both that begin where the fit did, with less blur now.
+A faint membrane around a smaller inside, seen through a wider PSF, looks like a larger inside, and
+so does chromatin that a border cuts. Linear estimates at one place do not tell which of them it is
+(:mod:`.structure_choice`). So at rest a few steps are taken with the rival as well, from where it
+looks the same, and what both explain is compared.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...common.choices import Structure
 from ...common.doing import doing
 from ...common.triple import geometric_mean
 from ...geometry.connected import adjacency
@@ -36,23 +34,13 @@ class RivalRules:
     Attributes
     ----------
     steps
-        Of each. Fits of ``mixed`` scenes (benchmarks.defaults) that were stuck 3 voxels from their
-        membranes had passed the others by then.
+        Of each. Chosen on fits of ``mixed`` scenes (benchmarks.defaults), in which the better rival
+        had passed the others by then.
     renewed_every
         Steps after which voxels and weights are chosen anew.
-    levels
-        Rivals are followed before each of so many last levels. Measured on a cell with one
-        bright side, onto which it shrank before the last level: with one it ended 0.77 voxel off,
-        with two 0.48, and 0.06 since a rival begins at the start as well.
     less
         Share of the squares that are left by which it must leave less: small differences could be
         those of steps not yet taken. Half and twice change nothing in small fits.
-    alike
-        Share by which both from the start may leave more and still be taken: of two that explain
-        as much, the one nearer to the start. In two fits from points that had grown onto a haze
-        (volumes 9 and 11 % too large) they left 0.2 % more, and 10 % less, and both ended within
-        0.5 %; half and twice change neither. From spheres, whose fits in two such hazes are 0.95
-        and 0.56 voxels off, they left 7 and 12 % more: those stay wrong.
     nats
         By which insides alone may explain less than with faint membranes, and be taken: half the
         square of the errors that membranes have to differ from 0 by (S. S. Wilks, 1938). Measured:
@@ -114,9 +102,7 @@ class RivalRules:
 
     steps: int = 12
     renewed_every: int = 6
-    levels: int = 2
     less: float = 0.05
-    alike: float = 0.02
     nats: float = 12.5
     errors: float = 3.0
     uneven: float = 1.1
@@ -133,39 +119,6 @@ class RivalRules:
 
 RULES = RivalRules()
 _FOLLOWED = 10  # edges from a rim, over which walls follow; chosen
-
-
-def best_of(terms: Terms, fitted: Fitted, start: Shape | None) -> tuple[Fitted, int]:
-    """The fit that goes on, of both again, and evaluations that it took.
-
-    Parameters
-    ----------
-    terms
-        Of the fit.
-    fitted
-        Where all of them begin.
-    start
-        Where the fit began: membranes alone, and both, begin there as well, if given. Measured
-        on a cell in an uneven haze, onto a lump of which a fit of both had grown: from the start
-        both left 10 % less before the last level.
-    """
-    terms, factored = replace(terms, imaging_fitted=False), Preconditioners()
-    structures: tuple[Structure, ...] = ("both", "membrane", "interior")
-    begin = [fitted.with_structure(s) for s in structures]
-    if start is not None:
-        from_start = fitted.retriangulated(start)
-        begin += [from_start.with_structure(s) for s in ("membrane", "both")]
-    (both, _), *others = ends = [
-        descend_and_pose_anew(begun(terms, one, factored)) for one in begin
-    ]
-    taken = sum(end[1] for end in ends)
-    rival, _ = min(others, key=lambda end: end[0].left)
-    if rival.left < (1 - RULES.less) * both.left and _explains_more(rival, both):
-        return rival.fitted.with_structure("both"), taken
-    again = others[-1][0]
-    if start is not None and again.left < (1 + RULES.alike) * both.left:
-        return again.fitted, taken
-    return fitted, taken
 
 
 def insides_alone(
@@ -304,16 +257,6 @@ def is_uneven(both: Objective) -> bool:
 def insides_over(objective: Objective) -> float:
     """How bright insides are, of the peak of a membrane's image."""
     return inside_over_membrane(objective.now.light, objective.fitted.optics.sigma_um)
-
-
-def _explains_more(one: Objective, other: Objective) -> bool:
-    """Whether one surely explains more than another, over the voxels of both.
-
-    It must do so both with insides as even as either has them, and as measured: what each takes for
-    unevenness speaks for it, and unevenness itself speaks for whatever has more of it (chromatin,
-    for a membrane).
-    """
-    return gains_exceed_error(gains_over(one, other), errors_asked(one))
 
 
 def errors_asked(one: Objective) -> float:
