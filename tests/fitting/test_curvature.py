@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.double_bubble import DoubleBubble
 
+import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.model.state import FitState
 from napari_deltamic.fitting.uncertainty import curvature as module
@@ -18,6 +19,7 @@ from napari_deltamic.fitting.uncertainty.responses import Exact
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene import expected_image
+from napari_deltamic.scene.effects import Background, Halo
 from napari_deltamic.scene.light import Light
 from synthetic import CENTER, GRID, OPTICS, RADIUS, measured
 
@@ -234,3 +236,12 @@ def test_sparse_factor_agrees_with_the_dense_one(there, curvature, monkeypatch):
     sparse = Curvature(there.posterior, there.at, MESH)
     right = np.random.default_rng(2).normal(size=len(MESH.vertices))
     np.testing.assert_allclose(sparse.solve(right), curvature.solve(right), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("fit_psf", [False, True])
+def test_an_effect_that_spreads_no_light_needs_no_padding(fit_psf):
+    """Also where images are planned for a PSF that a fit may make narrower."""
+    wide = nd.GaussianPSF((0.9, 0.5, 0.5))
+    found = posed_at(measured(), GRID, state(optics=wide), FitSettings(fit_psf=fit_psf))
+    assert found.posterior.pads_enough_for(found.at, Background())
+    assert not found.posterior.pads_enough_for(found.at, Halo(fraction=0.3, width=3.0))

@@ -333,7 +333,7 @@ class Prediction:
     def pads_enough_for(self, at: Variables, effect: Effect) -> bool:
         """Whether a further effect reaches no further than images are padded for."""
         effects = _with_further(self._prior.imaging.effects_of(at.effects), effect)
-        return self._renderer.pads_enough_for(effects, self._prior.imaging.optics)
+        return self._renderer.pads_enough_for(effects, self._renderer.scene.optics)
 
     def membranes(self, at: Variables, densities: FloatArray) -> FloatArray:
         """(N,) the first image of membranes of given densities (F,), of amplitude 1."""
