@@ -17,7 +17,6 @@ from napari_deltamic.fitting.objective.schedule import Progress
 from napari_deltamic.fitting.rivals import hidden_membranes
 from napari_deltamic.fitting.rivals.hidden_membranes import (
     _followed,
-    _grown,
     _Trial,
     membranes_as_well,
 )
@@ -51,7 +50,6 @@ def followed(
     evened=(),
     shines="both",
     over=(),
-    less=False,
     even=False,
     mesh=BALL,
     uneven=True,
@@ -59,9 +57,9 @@ def followed(
 ):
     """After how many legs a rival stops that has gained so much by then, and what it has taken.
 
-    over : brightness of insides after each, 1 unless given. less : what the trial should say.
-    even : whether brightness deep inside hardly varies. mesh : the cells. uneven : whether insides
-    of both are, by what is left of them. varies : by how much brightness deep inside surely does.
+    over : brightness of insides after each, 1 unless given. even : whether brightness deep inside
+    hardly varies. mesh : the cells. uneven : whether insides of both are, by what is left of them.
+    varies : by how much brightness deep inside surely does.
     """
     fitted = SimpleNamespace(mesh=mesh, first_optics=NARROW)
 
@@ -100,7 +98,6 @@ def followed(
     seen = not denied and (even or not over or over[leg] <= 2.5)
     assert trial.stands == (may and gains[leg] > 100 and seen)
     assert trial.hints == (may and max(gains[: leg + 1]) > 60)
-    assert trial.less == (less or not may)
     assert trial.evaluations == 5 + 3 * leg
     return leg
 
@@ -125,7 +122,7 @@ def test_a_rival_that_gains_over_evened_insides_is_followed_too(monkeypatch):
     gains = (90.0, 90.0, 90.0, 90.0)
     assert followed(monkeypatch, *gains) == 1
     assert followed(monkeypatch, *gains, evened=(-9.0, 1.0, 4.0, 4.1)) == 3
-    assert followed(monkeypatch, *gains, evened=(-9.0, -7.0, 1.0), less=True) == 1  # too little
+    assert followed(monkeypatch, *gains, evened=(-9.0, -7.0, 1.0)) == 1  # too little
 
 
 @pytest.mark.parametrize(("shines", "legs"), [("interior", 0), ("membrane", 1), ("both", 1)])
@@ -219,25 +216,14 @@ def test_most_cells_decide_whether_they_are_flat():
     assert not all_flat(together(ball, ball, sheet), NARROW)
 
 
-@pytest.mark.parametrize(("times", "grown"), [(1.2, False), (1.3, True)])
-def test_a_cell_twice_as_large_has_left_its_start(times, grown):
-    two = nd.Mesh.merge([sphere(MIDDLE, 0.5), sphere(MIDDLE + 2.0, 0.5)])
-    places = two.vertices_numpy()
-    first = places[:, 0] < MIDDLE[0] + 1
-    places = np.where(first[:, None], MIDDLE + times * (places - MIDDLE), places)
-    assert _grown(two, two.with_vertices(places)) == grown
-
-
 def found(
     monkeypatch,
     further_in,
-    from_start,
-    start=True,
     crosses=False,
     asked="auto",
     alone_wins=False,
 ):
-    """Which of both trials goes on, each given as it is judged, and whether it is unsure.
+    """What goes on where both are judged like that further in, and whether it is unsure.
 
     asked : which structure. alone_wins : whether membranes alone explain more than insides do.
     """
@@ -257,48 +243,34 @@ def found(
         "replace",
         lambda one, **new: replace(one, **new) if is_dataclass(one) else one,
     )
-    first, second = trial("further in", *further_in), trial("start", *from_start)
+    first = trial("further in", *further_in)
     monkeypatch.setattr(hidden_membranes, "_from_further_in", lambda *_: first)
-    monkeypatch.setattr(hidden_membranes, "_from_start", lambda *_: second)
     third = trial("membranes").rival
     monkeypatch.setattr(hidden_membranes, "_membranes_alone", lambda *_: (third, 100, alone_wins))
-    given = SimpleNamespace(mesh=mesh) if start else None
     terms = SimpleNamespace(settings=SimpleNamespace(structure=asked))
-    fitted, taken, unsure = membranes_as_well(terms, objective, None, given, 6)
+    fitted, taken, unsure = membranes_as_well(terms, objective, None, 6)
     return None if fitted is None else fitted.name, taken, unsure
 
 
-# Whether a trial stands, hints at membranes, explains less.
-YES, MAYBE, OPEN, NO = (True, True, False), (False, True, False), (False,) * 3, (False, False, True)
+YES, MAYBE, NO = (True, True), (False, True), (False, False)  # whether it stands; hints
 
 
-def test_both_are_tried_from_the_start_where_it_is_not_sure(monkeypatch):
-    assert found(monkeypatch, YES, YES) == ("further in", 111, False)
-    assert found(monkeypatch, MAYBE, YES) == ("start", 121, False)
-    assert found(monkeypatch, MAYBE, NO) == (None, 121, True)
-    assert found(monkeypatch, OPEN, YES) == ("start", 121, False)
-    assert found(monkeypatch, OPEN, MAYBE) == (None, 121, False)
-    assert found(monkeypatch, MAYBE, YES, start=False) == (None, 111, True)
-    assert found(monkeypatch, NO, YES) == (None, 111, False)
-    assert found(monkeypatch, YES, YES, crosses=True) == (None, 121, False)
-
-
-def test_both_are_tried_from_the_start_where_a_cell_has_grown_far(monkeypatch):
-    monkeypatch.setattr(hidden_membranes, "_grown", lambda before, after: True)
-    assert found(monkeypatch, NO, YES) == ("start", 121, False)
-    assert found(monkeypatch, NO, NO) == (None, 121, False)
+def test_what_is_not_sure_is_said(monkeypatch):
+    assert found(monkeypatch, YES) == ("further in", 111, False)
+    assert found(monkeypatch, MAYBE) == (None, 111, True)
+    assert found(monkeypatch, NO) == (None, 111, False)
+    assert found(monkeypatch, YES, crosses=True) == (None, 111, False)
 
 
 @pytest.mark.parametrize(
     ("both", "name"), [(NO, None), (MAYBE, None), (YES, "further in")], ids=["no", "maybe", "yes"]
 )
 def test_membranes_alone_are_tried_in_any_case(monkeypatch, both, name):
-    taken = 121 if both is MAYBE else 111
-    assert found(monkeypatch, both, NO, alone_wins=True) == ("membranes", taken, False)
-    assert found(monkeypatch, both, NO)[:2] == (name, taken)
-    asked = found(monkeypatch, both, NO, alone_wins=True, asked="both")
-    assert asked[:2] == (name, taken - 100)
-    crosses = found(monkeypatch, both, NO, alone_wins=True, crosses=True)
+    assert found(monkeypatch, both, alone_wins=True) == ("membranes", 111, False)
+    assert found(monkeypatch, both)[:2] == (name, 111)
+    asked = found(monkeypatch, both, alone_wins=True, asked="both")
+    assert asked[:2] == (name, 11)
+    crosses = found(monkeypatch, both, alone_wins=True, crosses=True)
     assert crosses[0] is None
 
 
@@ -459,7 +431,7 @@ def test_beside_membranes_that_were_found_alone_insides_are_asked_for_once_more(
     context = SimpleNamespace(
         reporter=SimpleNamespace(say=said.append), upkeep=SimpleNamespace(restart=lambda: None)
     )
-    LevelRun._go_on_elsewhere(SimpleNamespace(at=at, _context=context), mesh)
+    LevelRun._go_on_further_in(SimpleNamespace(at=at, _context=context))
     assert posed == [Progress(asked_again=again, unsure=True)]
     assert word in said[0]
 
@@ -471,7 +443,7 @@ def test_membranes_may_shine_as_well_only_where_none_do(monkeypatch, structure, 
     monkeypatch.setattr(ModelChoice, "_asked_again", lambda *_: True)
     monkeypatch.setattr(ModelChoice, "_with_both_again", staticmethod(lambda *_: (fitted, 3, True)))
     choice = ModelChoice(FitSettings(structure="both"), 1)
-    found = choice.asked_anew(None, None, fitted, None, Progress(), None)
+    found = choice.asked_anew(None, None, fitted, None, Progress())
     assert found == (fitted, 3, Progress(asked_again=True, unsure=unsure))
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..geometry.mesh import FloatArray, Mesh
+from ..geometry.mesh import FloatArray
 from .model.change import Change, taken_over
 from .model.fitted import Arrays, Fitted
 from .model.level import Level
@@ -262,16 +262,16 @@ class LevelRun:
 
     def _other_structure(self) -> bool:
         """Whether, at rest, something else shines than what had been clear on the way."""
-        context, at, progress = self._context, self.at, self.at.stage.progress
+        at, progress = self.at, self.at.stage.progress
         fitted, taken, after = at.choice.asked_anew(
-            self.terms, self.objective, at.fitted, context.factored, progress, context.untouched(at)
+            self.terms, self.objective, at.fitted, self._context.factored, progress
         )
         self.at = at.holding(fitted).spent(taken).progressed(after)
         if fitted is at.fitted:
             return False
         self.at = self.at.progressed(replace(after.released(), stuck=0, rests=0))
         if after.asked_again != progress.asked_again and fitted.mesh is not at.fitted.mesh:
-            self._go_on_elsewhere(at.fitted.mesh)
+            self._go_on_further_in()
         return True
 
     def _around_nuclei(self) -> bool:
@@ -299,15 +299,13 @@ class LevelRun:
             unsure |= at.stage.progress.unsure  # of dark nuclei
             self.at = at.spent(taken).progressed(replace(at.stage.progress, unsure=unsure))
 
-    def _go_on_elsewhere(self, before: Mesh) -> None:
-        """The surface was taken up again further in, or where the fit began."""
+    def _go_on_further_in(self) -> None:
+        """The surface was taken up again further in."""
         alone = self.at.fitted.structure == "membrane"  # insides beside them are asked for yet
         unsure = self.at.stage.progress.unsure
         self.at = self.at.progressed(Progress(asked_again=not alone, unsure=unsure))
         self._context.upkeep.restart()
         self._context.reporter.say(_MEMBRANES if alone else _FURTHER_IN)
-        if not np.array_equal(self.at.fitted.mesh.faces, before.faces):
-            self._other_mesh()
 
     def _other_mesh(self) -> None:
         """Go on with triangles that are none of those before."""

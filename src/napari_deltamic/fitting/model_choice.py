@@ -8,7 +8,6 @@ from ..runs.settings import FitSettings
 from .model.amplitudes import RULES, all_small, inside_over_membrane, may_shine
 from .model.density import RULES as DENSITY
 from .model.fitted import Fitted
-from .model.shape import Shape
 from .objective.fit_objective import Objective, Terms
 from .objective.schedule import Progress
 from .rivals.dark_nuclei import around_nuclei
@@ -93,21 +92,16 @@ class ModelChoice:
         fitted: Fitted,
         factored: Preconditioners,
         progress: Progress,
-        start: Shape | None,
     ) -> tuple[Fitted, int, Progress]:
         """What shines at rest, the evaluations that it took to ask, and where that leaves the fit.
 
-        The same object where that is what had been clear on the way. start : as for rivals.
+        The same object where that is what had been clear on the way.
         """
         if self._asked_again(fitted, progress):
-            one = self.levels == 1  # else the start is far, and rivals have been tried on the way
+            one = self.levels == 1  # else blurred levels have told most
+            further = HIDDEN.further if one else 0
             found, taken, unsure = self._with_both_again(
-                terms,
-                objective,
-                fitted,
-                factored,
-                start if one else None,
-                HIDDEN.further if one else 0,
+                terms, objective, fitted, factored, further
             )
             # Where a user asks for both, there is nothing to say: the other doubt is that of both.
             unsure = unsure and one and fitted.structure == "interior"
@@ -182,7 +176,6 @@ class ModelChoice:
         objective: Objective,
         fitted: Fitted,
         factored: Preconditioners,
-        start: Shape | None,
         further: int,
     ) -> tuple[Fitted, int, bool]:
         """The fit with what shines if both may again; the same fit if one alone does.
@@ -193,7 +186,7 @@ class ModelChoice:
         if wanted and objective.structure().structure != "interior":
             return fitted, 0, False
         if wanted or fitted.structure == "interior":
-            found, taken, unsure = membranes_as_well(terms, objective, factored, start, further)
+            found, taken, unsure = membranes_as_well(terms, objective, factored, further)
             return (fitted if found is None else found), taken, unsure
         both = fitted.with_structure("both")
         again = Objective(terms, both, CollisionGuard(terms.settings.collisions), factored)

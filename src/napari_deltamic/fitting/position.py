@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from ..runs.settings import FitSettings
 from .model.fitted import Fitted
 from .model.problem import Problem
@@ -100,9 +98,3 @@ class RunContext:
     begun: Shape
     schedule: Schedule = field(default_factory=Schedule)
     factored: Preconditioners = field(default_factory=Preconditioners)
-
-    def untouched(self, at: Position) -> Shape | None:
-        """Where the run began, if it is still of the same cells, and nobody has touched them."""
-        first, now = self.begun.mesh.region_ids(), at.fitted.mesh.region_ids()
-        touched = at.stage.edited or at.fitted.shape.pinned.any()
-        return self.begun if np.array_equal(first, now) and not touched else None

@@ -1,4 +1,4 @@
-"""Membranes that a fit has lost: both are tried again, further in and from the start.
+"""Membranes that a fit has lost: both are tried again, further in.
 
 Labels of whole cells often reach out to where the light of their membranes ends. From there,
 insides alone with a narrow PSF look like both, and a fit without blurred levels stays there.
@@ -9,13 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from ...common.choices import Structure
 from ...common.triple import geometric_mean
 from ...geometry.mesh import FloatArray, Mesh
-from ...scene.light import MEMBRANES
 from ..model.amplitudes import all_flat, all_small
 from ..model.fitted import Fitted
-from ..model.shape import Shape
 from ..objective.fit_objective import Objective, Terms
 from ..solvers.preconditioner import Preconditioners
 from ..surface.collisions import CollisionGuard
@@ -55,18 +52,6 @@ class HiddenRules:
         How many errors of the sum over blocks are enough for a fit to say that membranes may shine.
         Chosen, between crowds whose surfaces are a voxel too far out (2.8) and most nuclei with
         chromatin: of 24 fits, two reached 2.2 and 2.5, which were graded fair for that already.
-    less
-        Of those errors, by which both explain surely less all the way, with insides evened: then
-        they are not tried from the start. Measured: 3.8 to 7.4 in eight of fourteen fits of nuclei
-        alone; at most 2.4 at the end in two crowds with membranes that the start found.
-    grown
-        Times the volume that a cell began with, from which on both are tried from the start anyway.
-        Chosen: cells that had become the haze around them were up to 60 times as large, and labels
-        two voxels too small are of such cells as have a radius below ten voxels.
-    alone
-        How often membranes take so many steps alone from the start, through the PSF as it begins.
-        Measured on two crowds in labels that are too large: twice, and both were found in each;
-        once, and one of them went back to insides alone.
     small
         Times the radius of cells whose inside can be told from membranes, up to which membranes
         alone win if they leave 5 % less, as other rivals do (:mod:`.rival_structures`). Chosen: a
@@ -93,24 +78,17 @@ class HiddenRules:
         quarter too large, with some light of the membrane deep inside; 0.83 to 0.96 in two fits of
         real nuclei, whose Dice with labels drawn by hand was 0.862 with membranes and 0.925
         without.
-    from_start
-        As ``further``, of a rival from the start: the gain was enough after 4 to 7 times there. In
-        four fits of nuclei with chromatin it reached at most 2.3 errors in ten times.
     """
 
     further_in: float = 0.6
     further: int = 10
     growing: float = 0.05
     unsure: float = 2.0
-    less: float = 3.0
-    grown: float = 2.0
-    alone: int = 2
     small: float = 2.4
     within: float = 1.2
     leaves_less: float = 0.2
     lit: float = 1.0
     varied: float = 0.65
-    from_start: int = 10
 
 
 RULES = HiddenRules()
@@ -126,15 +104,12 @@ class _Trial:
         Whether it surely explains more.
     hints
         Whether that could be, at the end or on the way.
-    less
-        Whether it surely explained less all the way.
     """
 
     rival: Objective
     evaluations: int
     stands: bool = False
     hints: bool = False
-    less: bool = True
 
     def allowed(self, before: Mesh) -> bool:
         """Whether it crosses nothing that the mesh it comes from did not."""
@@ -144,49 +119,26 @@ class _Trial:
 
 
 def membranes_as_well(
-    terms: Terms,
-    objective: Objective,
-    factored: Preconditioners,
-    start: Shape | None,
-    further: int,
+    terms: Terms, objective: Objective, factored: Preconditioners, further: int
 ) -> tuple[Fitted | None, int, bool]:
     """The fit with membranes, if both or they alone surely explain more than insides alone.
 
-    Also the evaluations and, where that is not sure, whether both may explain more, by what was
-    seen further in. start : where the fit began, if that is near; both are tried from there as
-    well, where the surface as it is does not tell, or has left its cell. further : how often, at
-    most, both take a few steps more from further in.
+    Also the evaluations and, where that is not sure, whether both may explain more. further : how
+    often, at most, both take a few steps more.
     """
     alone = objective.anew()
     # One brightness for each wall: cells differ, and a smooth one could make up for a shape.
     held = replace(terms, density_fitted=True)
-    trial, unsure = _both_again(held, alone, factored, start, further)
-    taken = trial.evaluations + alone.evaluations()
+    trial = _from_further_in(held, alone, factored, further)
+    allowed, taken = trial.allowed(alone.fitted.mesh), trial.evaluations + alone.evaluations()
     if terms.settings.structure == "auto":
         rival, more, surely = _membranes_alone(held, alone, trial.rival, factored)
         taken += more
         if surely and _Trial(rival, more).allowed(alone.fitted.mesh):
             return rival.fitted, taken, False
-    return (trial.rival.fitted if trial.stands else None), taken, unsure
-
-
-def _both_again(
-    terms: Terms, alone: Objective, factored: Preconditioners, start: Shape | None, further: int
-) -> tuple[_Trial, bool]:
-    """Both, which stand if they surely explain more and cross nothing; whether they may, else."""
-    mesh = alone.fitted.mesh
-    trial = _from_further_in(terms, alone, factored, further)
-    allowed = trial.allowed(mesh)
     if trial.stands and allowed:
-        return trial, False
-    unsure = trial.hints and allowed
-    if start is not None and (not trial.less or _grown(start.mesh, mesh)):
-        second = _from_start(terms, alone, start)
-        taken = trial.evaluations + second.evaluations
-        if second.stands and second.allowed(start.mesh):
-            return replace(second, evaluations=taken), False
-        trial = replace(trial, evaluations=taken)
-    return replace(trial, stands=False), unsure
+        return trial.rival.fitted, taken, False
+    return None, taken, trial.hints and allowed
 
 
 def _from_further_in(
@@ -203,26 +155,8 @@ def _from_further_in(
     if shows_membranes(rival) and _believed(rival):
         gains = gains_over(rival, alone)
         if all(both_beat_insides(rival, alone, some) for some in (gains, without_one(gains))):
-            return _Trial(rival, taken, True, True, False)
+            return _Trial(rival, taken, True, True)
     return _followed(_Trial(rival, taken), alone, most)
-
-
-def _from_start(terms: Terms, alone: Objective, start: Shape) -> _Trial:
-    """Both, from where the fit began, with membranes alone first.
-
-    Through the PSF as it begins: from too far out, it gets narrow before the surface moves, and
-    then insides alone fit well.
-    """
-    held, factored = replace(terms, imaging_fitted=False), Preconditioners()
-    known = alone.fitted.retriangulated(start).shining(MEMBRANES)
-    began = known.displaced(start.mesh.vertices_numpy(), known.first_optics)
-    one, taken = began.with_density("interface"), 0
-    membranes: list[Structure] = ["membrane"]
-    for structure in (*RULES.alone * membranes, "both"):
-        rival, more = descend_and_pose_anew(begun(held, one.with_structure(structure), factored))
-        one, taken = rival.fitted, taken + more
-    rival, more = descend_and_pose_anew(begun(terms, one, factored))
-    return _followed(_Trial(rival, taken + more), alone, RULES.from_start)
 
 
 def _membranes_alone(
@@ -276,7 +210,7 @@ def _membranes_further_in(terms: Terms, fitted: Fitted) -> Fitted:
 
 def _followed(trial: _Trial, alone: Objective, most: int) -> _Trial:
     """The same after more steps, while it gains; most : times that a few are taken."""
-    rival, taken, hints, less = trial.rival, trial.evaluations, False, True
+    rival, taken, hints = trial.rival, trial.evaluations, False
     before, gains = None, gains_over(rival, alone)
     over = over_before = insides_over(rival)
     for leg in range(most + 1):
@@ -284,14 +218,13 @@ def _followed(trial: _Trial, alone: Objective, most: int) -> _Trial:
         seen = shows and _believed(rival) and (over <= RIVALS.hidden or are_even(rival))
         stands = seen and all(more_than_insides(rival, g) for g in (gains, without_one(gains)))
         hints |= shows and gains_exceed_error(gains, RULES.unsure)
-        less &= not shows or gains_exceed_error([-gains[0]], RULES.less)
         fades = not seen and over > over_before
         if stands or not shows or fades or leg == most or not _grows(before, gains):
             break
         before, over_before = gains, over
         rival, more = descend_and_pose_anew(rival)
         taken, gains, over = taken + more, gains_over(rival, alone), insides_over(rival)
-    return _Trial(rival, taken, stands, hints, less)
+    return _Trial(rival, taken, stands, hints)
 
 
 def _believed(both: Objective) -> bool:
@@ -317,9 +250,3 @@ def _grows(before: Sequence[FloatArray] | None, now: Sequence[FloatArray]) -> bo
     sums = [(was.sum(), found.sum()) for was, found in zip(before, now, strict=True)]
     much = any(found - was >= RULES.growing * abs(was) for was, found in sums)
     return much and all(2 * found - was >= RIVALS.nats for was, found in sums)
-
-
-def _grown(before: Mesh, after: Mesh) -> bool:
-    """Whether some cell has become much larger."""
-    first, now = before.volumes(), after.volumes()
-    return any(now[k] > RULES.grown * first[k] for k in first.keys() & now.keys())
