@@ -171,7 +171,14 @@ def _labels(
         raise InputError(f"layer '{layer.name}' is not 3D")
     region = frame.region(layer, labels.shape)
     if region is not None:
-        return LabelSeeds(labels[region].copy() if copied else labels[region])
+        found = labels[region]
+        if shape is not None and found.shape != shape:
+            own, image = (" x ".join(map(str, one)) for one in (found.shape, shape))
+            raise InputError(
+                f"layer '{layer.name}' has {own} voxels, the image {image}: untick it under "
+                "Cells, or choose the image that it belongs to"
+            )
+        return LabelSeeds(found.copy() if copied else found)
     # Labels of as many voxels are meant to lie on them; and the scale may be missing.
     unscaled = um_per_unit(layer) is None and np.all(layer.scale[-3:] == 1)
     if shape is None or labels.shape == shape or unscaled:

@@ -89,12 +89,14 @@ class ImagePanel(QGroupBox):
             self._tell(str(error), needed=True)
             return
         self.voxel_size.set_value(size)
-        unknown = um_per_unit(layer) is None and set(size) == {1.0}
+        units = set(map(str, layer.units[-3:]))
+        no_length = um_per_unit(layer) is None and units != {"pixel"}
+        unknown = um_per_unit(layer) is None and set(size) == {1.0} and not no_length
         shown = " x ".join(f"{d:.3g}" for d in size) + " µm"
         self.size_line.setText("not known" if unknown else shown)
         if unknown:
             self.edit_size.setChecked(True)
-        self._tell(self._described(layer, unknown), needed=unknown)
+        self._tell(self._described(layer, unknown, no_length), needed=unknown or no_length)
 
     def _tell(self, text: str, *, needed: bool = False) -> None:
         """Say something; in the colour of warnings where the user is needed."""
@@ -106,7 +108,7 @@ class ImagePanel(QGroupBox):
         text, needed = (sentence(why), True) if why else self._told
         self.note.say(text, "fair" if needed else "")
 
-    def _described(self, layer: Any, unknown: bool) -> str:
+    def _described(self, layer: Any, unknown: bool, no_length: bool) -> str:
         text = " x ".join(map(str, self._image.shape())) + " voxels"
         if self._image.box is not None:
             text += " of the image"
@@ -115,6 +117,9 @@ class ImagePanel(QGroupBox):
             text += f", read as {times} times of {planes} planes; if it has channels, choose one"
         if unknown:
             text += "; the voxel size is not known: enter it in µm, or all lengths are in voxels"
+        elif no_length:
+            units = ", ".join(map(str, layer.units[-3:]))
+            text += f"; the units of Z, Y, X ({units}) are not lengths: taken as µm"
         return text
 
     def _offer_channels(self) -> None:

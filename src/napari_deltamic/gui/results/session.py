@@ -14,6 +14,7 @@ from ...fitting.model.default_accuracy import usable_choice
 from ...results.session_file import SavedImage, SavedResult, Session
 from ..document import VIEWS, Document
 from ..record import Record
+from ..seeding.find_cells_button import be_found_in
 from ..tracking.panel import TrackPanel
 from ..viewing.frame import Frame, go_to
 from ..viewing.own_layers import lie_on
@@ -75,13 +76,13 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
         raise InputError(doc.work.occupied)
     empty = not viewer.layers
     image, seeds, second = _layers(session)  # before anything is changed
-    for seed in doc.cells.ticked:
-        doc.cells.choose(seed, False)
     view = session.panels.get("view", {})
     if empty and "ndisplay" in view:  # now it is only a number: later all is drawn anew
         viewer.dims.ndisplay = int(view["ndisplay"])
     viewer.add_layer(image)
-    doc.image.choose(image)
+    doc.image.choose(image)  # first: which cells were ticked for the image before is noted
+    for seed in doc.cells.ticked:
+        doc.cells.choose(seed, False)
     for _ in _shown_with(parts, session, image, seeds, second):
         yield
         if _left(doc, image):
@@ -108,6 +109,7 @@ def _shown_with(
             put(panels["seeds"][name])
     for seed in seeds:
         lie_on(seed, image)
+        be_found_in(seed, image)
         viewer.add_layer(seed)
         doc.cells.choose(seed)
     if session.result is not None or session.tracks is not None:

@@ -18,7 +18,7 @@ from ..cell_source import SEED_LAYERS, at_time, seed_kind, shown_surface
 from ..viewing import own_layers
 from ..viewing.cell_layers import FILE
 from ..viewing.colours import side_values, surface_look
-from ..viewing.frame import ORIGIN, OWN, TRUTH, Frame, stack_of
+from ..viewing.frame import FOUND, ORIGIN, OWN, TRUTH, Frame, stack_of
 from ..viewing.walls import COPIES, Apart
 
 _SHOWN = ("opacity", "blending", "visible")
@@ -29,7 +29,7 @@ _OTHERS: dict[type, tuple[str, ...]] = {
     Surface: (*_SHOWN, "shading", "gamma"),
 }
 _OF_POINTS = ("size", "face_color", "border_color")
-_NOTED = (FILE, ORIGIN, TRUTH)  # under OWN: what is still so when it is opened
+_NOTED = (FILE, ORIGIN, TRUTH, FOUND)  # under OWN: what is still so when it is opened
 
 
 def save_image(layer: Any, pixels: NDArray[Any], frame: Frame) -> SavedImage:

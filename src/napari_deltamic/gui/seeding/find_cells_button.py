@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import weakref
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from qtpy.QtWidgets import QPushButton, QWidget
 from superqt.utils import signals_blocked
 
-from ...common.triple import geometric_mean
+from ...common.triple import geometric_mean, triple
 from ...common.words import counted, sentence
 from ...errors import InputError
 from ...evidence.tilted_ground import with_ground
@@ -26,11 +28,12 @@ from ...scene import Grid
 from ..document import Document
 from ..layer_channels import of_one_stack
 from ..viewing.colours import label_colormap
-from ..viewing.frame import Frame
+from ..viewing.frame import FOUND, OWN, Frame
 from ..widgets import Signal, slider
 
 NAME = "found cells"
 _OTHERS = 3  # sizes that are offered besides the one used, at most
+_ALL = (slice(None),) * 3
 _SAME = 0.1  # by which two sizes differ that are the same
 
 
@@ -68,6 +71,38 @@ class _Found:
             return f"Found {self.count}, with another voxel size."
         return f"Found {self.count} of about {self.size}."
 
+    def note(self) -> None:
+        """In the layer itself, for a window that is opened later, and for sessions."""
+        image = self.image()
+        self.layer.metadata.setdefault(OWN, {})[FOUND] = {
+            "image": "" if image is None else str(image.unique_id),
+            "count": self.count,
+            "size": self.size,
+            "others": [[float(size), int(n)] for size, n in self.others],
+            "voxel_size": [float(d) for d in self.voxel_size],
+        }
+
+    @classmethod
+    def noted(cls, layer: Any, layers: Sequence[Any]) -> _Found | None:
+        """What a layer tells, where its image is one of some layers."""
+        own = layer.metadata.get(OWN, {}) if isinstance(layer, Labels) else {}
+        noted: Any = own.get(FOUND)
+        try:
+            of = next(one for one in layers if str(one.unique_id) == noted["image"])
+            others = [(float(size), int(n)) for size, n in noted["others"]]
+            size = triple(float(d) for d in noted["voxel_size"])
+            words = str(noted["count"]), str(noted["size"])
+        except (StopIteration, KeyError, TypeError, ValueError):
+            return None  # it was not found here, or someone has edited what is noted
+        return cls(weakref.ref(of), layer, *words, others, size)
+
+
+def be_found_in(layer: Any, image: Any) -> None:
+    """Cells that were found, and saved with their image, are those of its layer."""
+    noted = layer.metadata.get(OWN, {}).get(FOUND)
+    if isinstance(noted, dict):
+        noted["image"] = str(image.unique_id)
+
 
 class FindCells(QPushButton):
     """The button, its slider, and what they find; ``told`` says that ``message`` is another."""
@@ -80,12 +115,13 @@ class FindCells(QPushButton):
         self.setToolTip(
             "<qt>Finds the cells of a membrane image by itself and adds them as a Labels layer, "
             "which can be corrected by clicks, or with napari's brush, eraser and bucket. Takes "
-            "seconds to minutes in the background, by the size of the image. Pressing again starts "
-            "over and replaces what was found in this image, your corrections included.</qt>"
+            "seconds to minutes in the background, depending on the size of the image. Pressing "
+            "again starts over and replaces what was found in this image; undo (↶) brings that "
+            "back, with your corrections.</qt>"
         )
         tip = (
-            "Diameter of a typical cell, um. Until you move it, it is estimated from the image. "
-            "Larger: fewer cells, smaller: more. Press 'Find cells' again after that."
+            "Diameter of a typical cell. Until you move the slider, it is estimated from the "
+            "image. Larger: fewer cells; smaller: more. Then press 'Find cells' again."
         )
         self.cell_size = slider(tip, parent)
         self.message = ""
@@ -97,8 +133,12 @@ class FindCells(QPushButton):
         self._in_use: _Found | None = None  # of the image, or of another channel of its stack
         self.background = doc.background(self._refuse)
         doc.listen(doc.viewer.layers.events.removed, self._layers_changed)
+        # After its tick: new layers have one.
+        doc.listen(doc.viewer.layers.events.inserted, self._layer_added, position="last")
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
+        for layer in doc.viewer.layers:  # found in a window that was closed
+            self._adopt(layer)
 
     @property
     def tried(self) -> bool:
@@ -153,6 +193,7 @@ class FindCells(QPushButton):
             labels = found.layer.data
             found.layer.colormap = label_colormap(labels)
             found.count, found.size = counted(len(voxels_of(labels)), "cell"), ""
+            found.note()
             self._tell(f"{found.count}.", self.others)
 
     def find_with(self, size: float | str) -> None:
@@ -178,6 +219,7 @@ class FindCells(QPushButton):
         of, words = weakref.ref(image_layer), f"{size:.3g} {frame.length}"
         found = _Found(of, layer, count, words, others, frame.voxel_size)
         self._found[image_layer] = self._in_use = found
+        found.note()
         self._say(found, frame.voxel_size)
         for other in before:  # of another region, or channel
             if other is not layer:
@@ -224,8 +266,7 @@ class FindCells(QPushButton):
             and np.allclose(old.scale, options["scale"])
             and np.allclose(old.translate, options["translate"])
         ):
-            old.data = labels
-            old._reset_history()  # a private name: napari keeps steps of the array before
+            _replace(old, labels)
             old.colormap = label_colormap(labels)
             old.visible = True
             return old
@@ -236,6 +277,27 @@ class FindCells(QPushButton):
         self._viewer.add_layer(layer)
         return layer
 
+    def _layer_added(self, event: Any) -> None:
+        """Of a session, perhaps: its cells belong to their image."""
+        found = self._adopt(event.value)
+        if found is not None and found.image() is self._image.layer:
+            self._in_use = found
+            self._cells.choose(found.layer)
+            self._say(found, self._image.frame().voxel_size)
+
+    def _adopt(self, layer: Any) -> _Found | None:
+        """Take a layer for what was found in its image, if it says so, and none else is."""
+        found = _Found.noted(layer, self._viewer.layers)
+        image = None if found is None else found.image()
+        if found is None or image is None or image in self._found:
+            return None
+        self._found[image] = found
+        layer.events.paint.connect(self.edited)
+        if image is self._image.layer:
+            found.visible = bool(layer.visible)
+        self._cells.choose(layer, ticked=False)  # that of the image chosen is ticked when it is
+        return found
+
     def _layers_changed(self, event: Any = None) -> None:
         """What was found is of no interest once its layer is gone."""
         for image in [image for image, one in self._found.items() if one.layer is event.value]:
@@ -245,6 +307,9 @@ class FindCells(QPushButton):
             self._tell("")
 
     def _refuse(self, reason: str) -> None:
+        with suppress(InputError):  # there is no image
+            if self._image.frame().length == "voxels":
+                reason = re.sub(r"\bum\b", "voxels", reason)
         self._tell(sentence(reason))
         self._refused = True
 
@@ -263,6 +328,28 @@ class FindCells(QPushButton):
             if limits:
                 self.cell_size.setRange(*limits)
             self.cell_size.setValue(size)
+
+
+def _replace(layer: Any, labels: NDArray[np.int32]) -> None:
+    """Give a layer other labels, so that undo brings the earlier ones back.
+
+    By private names: napari has no public way to a step of a whole array.
+    """
+    before, steps = layer.data, list(layer._undo_history)
+    layer.data = labels
+    layer._reset_history()
+    if not isinstance(before, np.ndarray) or before.dtype != labels.dtype:
+        return
+    # A step holds two arrays: no more than one of that kind.
+    whole = [k for k, step in enumerate(steps) if isinstance(step[0], tuple) and step[0][0] is _ALL]
+    layer._undo_history.extend(steps[whole[-1] + 1 :] if whole else steps)
+    layer._undo_history.append([(_ALL, _in_few_bytes(before), _in_few_bytes(labels))])
+
+
+def _in_few_bytes(labels: NDArray[np.int32]) -> NDArray[Any]:
+    """A copy."""
+    low, high = int(labels.min(initial=0)), int(labels.max(initial=0))
+    return labels.astype(np.result_type(np.min_scalar_type(low), np.min_scalar_type(high)))
 
 
 def look(

@@ -22,6 +22,7 @@ MADE_BY_FIT = {"fit": True}  # under it: of layers that show a fit
 # for one that has not been put into the frame of an image yet.
 ORIGIN = "origin"
 TRUTH = "truth"  # under it: whether the layer shows what is true of a simulated image
+FOUND = "found"  # under it: of a layer of found cells, in which image, and what was said of them
 FloatArray = NDArray[np.float64]
 Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]  # voxels, Z, Y, X: first, and end
 
