@@ -246,8 +246,9 @@ def test_a_second_run_replaces_the_layers_of_the_first(widget, viewer, spin):
 
 
 def test_closing_ends_tracking_and_leaves_no_connection(widget, viewer, spin, slow):
+    slow.append(1)
     widget.tracking.start()
-    spin(lambda: widget.tracking.work.job is not None)
+    spin(lambda: widget.tracking.layers is not None)
     refs = [weakref.ref(widget.tracking.work), weakref.ref(widget.tracking.layers)]
     run = widget.tracking.work
     widget.close_links()
@@ -316,3 +317,53 @@ def test_the_start_is_not_shown_again_over_what_was_tracked(widget, viewer, spin
         viewer.dims.set_current_step(0, t)
         spin(seconds=0.5, must=False)
         assert not any("start" in layer.name for layer in viewer.layers)
+
+
+@pytest.mark.slow
+def test_what_is_tracked_stays_until_another_run_has_a_frame(widget, viewer, spin, slow, tmp_path):
+    slow += [1, 1]
+    widget.tracking.start()
+    spin(lambda: len(widget.tracking.results) == 2, 60)
+    widget.stop()
+    spin(ended(widget))
+    shown, surface = widget.tracking, viewer.layers["movie: tracked surfaces"]
+    before = shown.verdict.text()
+    viewer.dims.set_current_step(0, 0)
+    slow.clear()
+    for again in (shown.start, shown.go_on):
+        again()
+        assert len(shown.results) == 2
+        assert surface in viewer.layers
+        widget.stop()
+        spin(ended(widget))
+        assert shown.verdict.text() == before
+        assert surface in viewer.layers
+        assert shown.frame.text().startswith("time 0: 1 cell")
+        assert shown.go_on_button.isVisibleTo(shown)
+    shown.save(str(tmp_path))
+    assert [r.frame for r in read_results(tmp_path)] == [0, 1]
+    slow.append(1)
+    shown.start()
+    spin(lambda: len(shown.results) == 1, 60)
+    assert surface not in viewer.layers
+    assert shown.verdict.text() == ""
+
+
+def test_which_times_are_left_out_is_said_before(widget, viewer):
+    shown = widget.tracking
+    assert shown.first.text() == ""
+    viewer.dims.set_current_step(0, 1)
+    assert "start at time 1" in shown.first.text()
+    assert "time 0 is left out" in shown.first.text()
+    viewer.dims.set_current_step(0, 3)
+    assert "times 0 to 2 are left out" in shown.first.text()
+    shown.first_go.click()
+    assert viewer.dims.current_step[0] == 0
+    assert shown.first.text() == ""
+
+
+def test_how_it_ended_says_which_times_were_tracked():
+    results = [SimpleNamespace(frame=frame) for frame in range(3)]
+    assert track_work.times_tracked(results[1:], 3) == "times 1 to 2 of 0 to 2 tracked"
+    assert track_work.times_tracked(results[1:2], 3) == "time 1 of 0 to 2 tracked"
+    assert track_work.times_tracked(results, 3) == "3 time points tracked"

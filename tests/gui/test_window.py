@@ -4,6 +4,7 @@ import gc
 import os
 import warnings
 import weakref
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -95,6 +96,34 @@ def test_closing_the_dock_else_asks_nobody(window, docked, asked):
     assert docked.parent() is None
 
 
+def test_closing_the_dock_asks_where_a_result_is_in_no_file(docked, spin, asked, tmp_path):
+    found, answers = asked
+    docked.settings.max_iterations.setValue(2)
+    docked.start()
+    spin(lambda: not docked.doc.running)
+    answers.append(False)
+    press_close(docked)
+    (text,) = found
+    assert "Grade, table and history of image 'cell' would be lost" in text
+    assert "Save session" in text
+    assert docked.parent() is not None
+    docked.sessions.save(str(tmp_path / "a.deltamic"))
+    spin(lambda: not docked.sessions.busy)
+    press_close(docked)
+    assert len(found) == 1
+    assert docked.parent() is None
+
+
+def test_closing_the_dock_asks_where_tracked_times_are_in_no_file(docked):
+    tracking = docked.tracking
+    frames = [SimpleNamespace(frame=k) for k in range(2)]
+    tracking.work = SimpleNamespace(results=frames)
+    assert "tracked times would be lost" in docked.doc.would_end()
+    tracking.note_saved(frames)
+    assert docked.doc.would_end() == ""
+    tracking.work = None
+
+
 def test_who_closes_the_dock_in_a_fit_can_keep_it(app, docked, spin):
     """The question itself: Escape keeps what runs."""
     pressed = []
@@ -103,12 +132,12 @@ def test_who_closes_the_dock_in_a_fit_can_keep_it(app, docked, spin):
         box = app.activeModalWidget()
         buttons = {button.text().replace("&", ""): button for button in box.buttons()}
         pressed.append(sorted(buttons))
-        box.reject() if len(pressed) == 1 else buttons["End it and close"].click()
+        box.reject() if len(pressed) == 1 else buttons["Close anyway"].click()
 
     for wanted in (False, True):
         QTimer.singleShot(50, press)
         assert agreed(docked, "A fit is running.") is wanted
-    assert pressed[0] == ["End it and close", "Keep it open"]
+    assert pressed[0] == ["Close anyway", "Keep it open"]
 
 
 def test_closing_the_viewer_ends_the_fit(window, docked, spin, endless):

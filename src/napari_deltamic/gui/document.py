@@ -15,7 +15,7 @@ from psygnal import Signal
 
 from ..accuracy.experience import Learned
 from ..common.doing import doing
-from ..errors import DoubtWarning
+from ..errors import DoubtWarning, listed
 from ..evidence.put_together import put_together, start_of
 from ..evidence.sanity import tell_doubts
 from ..fitting.job import FitInput
@@ -74,6 +74,7 @@ class Document:
         self.selection: frozenset[int] = frozenset()
         self.learned = Learned()  # how long fits take on this machine
         self._last: list[Callable[[], None]] = []  # what is done when the window is closed
+        self._at_stake: list[Callable[[], str]] = []  # tell what would be lost then
         self._of_run: Record | None = None
         self._rescued: Record | None = None  # its image went while it was fitted
         self._place: tuple[Frame, tuple[int, ...]]  # that the last fit was started for
@@ -245,6 +246,7 @@ class Document:
         record.link.show_mesh(result.state.mesh)
         yield
         record.take(result.state, job, result.history, result.seconds)
+        record.saved = record.reached
         for tell in (self.result_changed.emit, partial(self.began.emit, True), self.ended.emit):
             tell()
             yield
@@ -310,17 +312,35 @@ class Document:
         self.at_end(made.close)
         return made
 
-    def listen(self, emitter: Any, slot: Callable[..., None]) -> None:
+    def listen(self, emitter: Any, slot: Callable[..., None], **how: Any) -> None:
         """Connect a slot to events of the viewer, as long as there is a window."""
-        self._connections.connect(emitter, slot)
+        self._connections.connect(emitter, slot, **how)
 
     def at_end(self, *calls: Callable[[], None]) -> None:
         """What is to be done when the window is closed."""
         self._last += calls
 
     def would_end(self) -> str:
-        """What closing the window would end, and what is kept of it; '' for nothing."""
-        return "" if self.work.task is None else self.work.task.kept
+        """What closing the window would end or lose, and what is kept of it; '' for nothing."""
+        ends = "" if self.work.task is None else self.work.task.kept
+        tell = (self._unsaved_results, *self._at_stake)
+        loses = [text for text in (one() for one in tell) if text]
+        if loses:
+            loses.append("To keep all of it, choose More > Save session first.")
+        return "\n\n".join(filter(None, (ends, " ".join(loses))))
+
+    def ask_before_losing(self, tell: Callable[[], str]) -> None:
+        """What else closing the window would lose, in a sentence; '' for nothing."""
+        self._at_stake.append(tell)
+
+    def _unsaved_results(self) -> str:
+        names = [f"'{r.link.image_layer.name}'" for r in self.records.values() if r.unsaved]
+        if not names:
+            return ""
+        return (
+            f"Grade, table and history of {listed('image', names)} would be lost; the meshes stay "
+            "in the viewer."
+        )
 
     def close(self, gone: Any = None) -> None:
         """End everything; once is enough."""
@@ -336,6 +356,7 @@ class Document:
         for source in (self.second, self.cells, self.image):
             source.close_links()
         self._last, self.run, self._of_run, self._rescued = [], None, None, None
+        self._at_stake = []
         self.records.clear()
         for signals in (self, self.image, self.cells, self.second, self.settings, self.work):
             for name in dir(type(signals)):

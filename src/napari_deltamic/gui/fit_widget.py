@@ -10,7 +10,7 @@ from typing import Any
 from napari.utils.notifications import show_info, show_warning
 from qtpy.QtCore import QEvent, QObject, QSize, Qt, QUrl
 from qtpy.QtGui import QDesktopServices
-from qtpy.QtWidgets import QDockWidget, QFrame, QMenu, QMessageBox, QScrollArea, QWidget
+from qtpy.QtWidgets import QDockWidget, QFrame, QMenu, QScrollArea, QWidget
 
 from .document import Document
 from .image_panel import ImagePanel
@@ -29,7 +29,7 @@ from .settings.preferences import PLUGIN, read_preferences
 from .settings.settings_panel import SettingsPanel
 from .tracking.panel import TrackPanel
 from .viewing.frame import unwrapped
-from .widgets import action, button, column, row
+from .widgets import action, button, column, confirmed, row
 from .window_words import for_window
 from .work import one_shot
 
@@ -205,12 +205,12 @@ def bind_keys(doc: Document, actions: Mapping[str, Callable[[], Any]]) -> None:
         doc.at_end(partial(doc.viewer.bind_key, key, None, overwrite=True))
 
 
-def ask_before_closing(widget: QWidget, busy: Callable[[], str]) -> None:
-    """Let the close button of the dock that a widget lies in ask, while something runs.
+def ask_before_closing(widget: QWidget, lost: Callable[[], str]) -> None:
+    """Let the close button of the dock that a widget lies in ask, where something would be lost.
 
     Whoever takes the widget out of its dock by other means, as scripts do, is not asked.
 
-    busy : what runs, in a sentence; '' for nothing. It must not hold the widget.
+    lost : what that is, in words; '' for nothing. It must not hold the widget.
     """
     dock: Any = widget.parent()
     # What napari's button calls; no public way leads there. Where it is missing, nobody is asked.
@@ -224,7 +224,7 @@ def ask_before_closing(widget: QWidget, busy: Callable[[], str]) -> None:
         found: Any = docked()
         if found is None:
             return
-        text = busy() if shown is not None and found.widget() is shown else ""
+        text = lost() if shown is not None and found.widget() is shown else ""
         if shown is None or not text or agreed(shown, text):
             type(found).destroyOnClose(found)
 
@@ -232,11 +232,5 @@ def ask_before_closing(widget: QWidget, busy: Callable[[], str]) -> None:
 
 
 def agreed(widget: QWidget, text: str) -> bool:
-    """Whether the user wants to close the dock although something runs."""
-    box = QMessageBox(QMessageBox.Icon.Question, "Close deltaMic?", text, parent=widget)
-    end = box.addButton("End it and close", QMessageBox.ButtonRole.DestructiveRole)
-    keep = box.addButton("Keep it open", QMessageBox.ButtonRole.RejectRole)
-    box.setDefaultButton(keep)
-    box.setEscapeButton(keep)
-    box.exec()
-    return box.clickedButton() is end
+    """Whether the user wants to close the dock although something would be lost."""
+    return confirmed(widget, "Close deltaMic?", text, "Close anyway", "Keep it open")

@@ -44,6 +44,7 @@ class Record:
     rows : measurements of its cells.
     judged : how good it is, once that is known.
     fitted : what the last fits ended with, whatever was changed by hand since.
+    saved : the result that a session file holds; None for none.
     """
 
     link: ViewerLink
@@ -53,6 +54,7 @@ class Record:
     rows: Sequence[Mapping[str, Any]] = ()
     judged: Judged | None = None
     fitted: deque[Fitted] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    saved: Fitted | None = None
 
     @property
     def state(self) -> FitState | None:
@@ -63,6 +65,11 @@ class Record:
     def job(self) -> FitInput | None:
         """That led to it."""
         return None if self.reached is None else self.reached.job
+
+    @property
+    def unsaved(self) -> bool:
+        """Whether there is a result that no session file holds."""
+        return self.reached is not None and self.reached is not self.saved
 
     @property
     def by_hand(self) -> bool:

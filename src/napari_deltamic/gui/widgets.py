@@ -16,6 +16,7 @@ from qtpy.QtWidgets import (
     QHeaderView,
     QLabel,
     QLayout,
+    QMessageBox,
     QPushButton,
     QSizePolicy,
     QTableWidget,
@@ -178,6 +179,20 @@ class TaskButton(QPushButton):
     def _show(self) -> None:
         self.setText(self._titles[self.busy])
         self.setEnabled(self.busy or not self._work.occupied)
+
+
+def confirmed(parent: QWidget, title: str, text: str, yes: str, no: str) -> bool:
+    """Whether the user wants something that cannot be taken back; Escape does not want it.
+
+    yes, no : what is on the buttons.
+    """
+    box = QMessageBox(QMessageBox.Icon.Question, title, text, parent=parent)
+    wanted = box.addButton(yes, QMessageBox.ButtonRole.DestructiveRole)
+    other = box.addButton(no, QMessageBox.ButtonRole.RejectRole)
+    box.setDefaultButton(other)
+    box.setEscapeButton(other)
+    box.exec()
+    return box.clickedButton() is wanted
 
 
 def small(made: QPushButton) -> QPushButton:

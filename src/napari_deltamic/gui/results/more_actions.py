@@ -109,7 +109,18 @@ class SessionBar:
         session, remark = capture(self._parts)
         if remark:
             self._doc.warned.emit(remark)
-        self._saving.ask(partial(_save, path, session), self._saved)
+        record = self._doc.records.get(self._doc.image.layer)
+        # While a fit runs, its newest state is saved instead of the result.
+        held = None if record is None or self._doc.running else record.reached
+        tracked = self._parts.tracking.results if session.tracks is not None else []
+
+        def saved(path: str) -> None:
+            if record is not None and session.result is not None:
+                record.saved = held
+            self._parts.tracking.note_saved(tracked)
+            self._saved(path)
+
+        self._saving.ask(partial(_save, path, session), saved)
         self._show()
 
     def open(self, path: str) -> None:

@@ -30,7 +30,7 @@ from ..widgets import Note, button, filled, row
 from ..window_words import attempt, for_window
 from ..work import Outcome
 from .layers import TrackLayers
-from .track_work import Frames, TrackWork
+from .track_work import Frames, TrackWork, times_tracked
 
 
 class TrackPanel(QGroupBox):
@@ -40,16 +40,25 @@ class TrackPanel(QGroupBox):
         super().__init__("Track", parent)
         self._doc = doc
         self.work: TrackWork | None = None  # the last run, or that of a session
+        self._before: TrackWork | None = None  # whose frames are shown until the last run has one
+        self._place: tuple[Any, Frame] | None = None  # where that one will be shown
+        self._kept: Sequence[FrameResult] = ()  # the frames that were saved last
+        self._words = "", ""  # how the run that is shown ended, and its verdict
         self.layers: TrackLayers | None = None
         self._seeds: list[Any] = []  # layers that the run started from
         self._frame = 0  # whose cells the table has
         tip = (
             "Fit the time shown from the seeds, and every later one from the one before. Cells "
-            "keep their numbers."
+            "keep their numbers. Times that are tracked already stay until the first new one is "
+            "done."
         )
         self.track_button = button("Track", tip, self.start, self)
         tip = "Go on after the last time that was tracked."
         self.go_on_button = button("Go on", tip, self.go_on, self)
+        self.first, self.first_row = Note(self, "fair"), QWidget(self)
+        tip = "Move the slider to the first time, so that tracking starts there."
+        self.first_go = button("Go to time 0", tip, self._go_to_first, self)
+        row((self.first, 1), self.first_go, of=self.first_row)
         form = Form(TrackSettings, ("divisions",), self)
         self.divisions = form.fields["divisions"]
         self.verdict, self.frame = Note(self, style="font-weight: bold;"), QLabel(self)
@@ -61,18 +70,26 @@ class TrackPanel(QGroupBox):
         self.worst_button = button("", tip, self.go_to_worst, self)
         buttons = row(self.track_button, self.go_on_button, form)
         shown = self.verdict, self.worst_button, self.frame, self.table, self.save_button
-        filled(QVBoxLayout(self), buttons, *shown)
+        filled(QVBoxLayout(self), buttons, self.first_row, *shown)
         self.table.chosen.connect(self._chosen)
         doc.image.changed.connect(self._image_changed)
         doc.work.changed.connect(self._work_changed)
+        doc.listen(doc.viewer.dims.events.current_step, self._show_first)
         doc.at_end(self._let_go)
+        doc.ask_before_losing(self._unsaved)
         self.worst_button.hide()
         self._image_changed()
         self._show_frame()
 
     @property
     def results(self) -> list[FrameResult]:
-        return [] if self.work is None else list(self.work.results)
+        """Those that are shown."""
+        return [] if self._shown is None else list(self._shown.results)
+
+    @property
+    def _shown(self) -> TrackWork | None:
+        """The run whose frames are shown."""
+        return self._before or self.work
 
     def start(self) -> None:
         """Track from the frame shown; says in plain words what is missing."""
@@ -81,8 +98,9 @@ class TrackPanel(QGroupBox):
 
     def go_on(self) -> None:
         """Track the frames after those that are done."""
-        if not self._doc.busy() and self.work is not None:
-            self._launch(self.work.prepare, self.work.images, self.work.frames, self.results)
+        work = self.work
+        if not self._doc.busy() and work is not None:
+            self._launch(work.prepare, work.images, work.frames, self.results)
 
     def go_to_worst(self) -> None:
         """Move to the frame whose surfaces are least sure, and to where they move."""
@@ -96,17 +114,18 @@ class TrackPanel(QGroupBox):
 
     def save(self, folder: str) -> None:
         """Write what the command line would. InputError if it cannot be written."""
-        work, results = self.work, self.results
+        work, results = self._shown, self.results
         if work is None or work.job is None or not results:
             raise InputError("there is no time point to save")
         for result in results:
             write_frame(folder, result)
         write_tracks(folder, results, work.job.grid, work.settings, work.seconds)
+        self.note_saved(results)
         self._doc.told.emit(f"saved {folder}")
 
     def saved(self) -> SavedTracks | None:
         """What a session keeps of the series, as it is chosen; None if that was not tracked."""
-        work, layers = self.work, self.layers
+        work, layers = self._shown, self.layers
         if layers is None or work is None or work.job is None or not work.results:
             return None
         layer, frame = self._doc.image.layer, self._doc.image.frame()
@@ -130,8 +149,21 @@ class TrackPanel(QGroupBox):
         told = self._frame_done, self._ended
         self.work = TrackWork.of_session(job, images, tracks, *told)
         self.divisions.setChecked(tracking.divisions)
+        self._before, self._place = None, None
         self._show_in(image.layer, frame).show(tracks.results)
-        self._end("done", f"{counted(len(tracks.results), 'time point')} tracked")
+        self._end("done", times_tracked(tracks.results, len(images)))
+        self.note_saved(tracks.results)
+
+    def note_saved(self, results: Sequence[FrameResult]) -> None:
+        """These frames are in files now."""
+        self._kept = tuple(results) or self._kept
+
+    def _unsaved(self) -> str:
+        """What would be lost with the window; while it tracks, the run tells that."""
+        known = {id(result) for result in self._kept}
+        if isinstance(self._doc.work.task, TrackWork) or all(id(r) in known for r in self.results):
+            return ""
+        return "The table of the tracked times would be lost; their surfaces stay in the viewer."
 
     def _let_go(self) -> None:
         """The window is closed."""
@@ -154,7 +186,7 @@ class TrackPanel(QGroupBox):
         seeds = self._doc.cells.seeds(frame)
         settings = self._settings(seeds, first, float(layer.scale[-4]))
         images, grid = Frames(data, frame.box), frame.grid(image.shape())
-        self._show_in(layer, frame)
+        self._place = layer, frame
         self._doc.finish_placing.emit(True)
         self._seeds = self._doc.cells.ticked
         prepare = partial(_prepared, settings, images, grid, seeds)
@@ -180,10 +212,10 @@ class TrackPanel(QGroupBox):
         frames: range,
         done: Sequence[FrameResult],
     ) -> None:
-        self.work = TrackWork(prepare, images, frames, done, self._frame_done, self._ended)
-        self.verdict.say("", "")
-        self.worst_button.hide()
-        self._doc.work.start(self.work)
+        before = self._shown if self.results else None
+        work = TrackWork(prepare, images, frames, done, self._frame_done, self._ended)
+        self._doc.work.start(work)
+        self.work, self._before = work, before
 
     def _show_in(self, image_layer: Any, frame: Frame) -> TrackLayers:
         """Layers of an earlier run give way, or two surfaces would lie on each other."""
@@ -193,6 +225,11 @@ class TrackPanel(QGroupBox):
         return self.layers
 
     def _frame_done(self, results: Sequence[FrameResult]) -> None:
+        if self._place is not None:  # only now what was tracked before is given up
+            self._show_in(*self._place)
+        self._before, self._place = None, None
+        self.verdict.say("", "")
+        self.worst_button.hide()
         if len(results) == 1:
             self._doc.meshes_came.emit()
             for layer in self._seeds:  # they are of one time, and would cover the cells
@@ -204,7 +241,14 @@ class TrackPanel(QGroupBox):
         self._show_frame()
 
     def _ended(self, outcome: Outcome) -> None:
-        self._end(outcome.verdict, outcome.message)
+        before, self._before, self._place = self._before, None, None
+        if before is None:
+            self._end(outcome.verdict, outcome.message)
+        else:  # no new time was tracked
+            self.work = before
+            self._work_changed()
+            self._show_worst(*self._words)
+            self._show_frame()
         if outcome.verdict == "failed":
             self._doc.warned.emit(outcome.message)
 
@@ -216,6 +260,7 @@ class TrackPanel(QGroupBox):
             n = len(work.results)
             kept = "" if verdict == "done" else f"{counted(n, 'time point')} kept, "
             text += f" ({kept}{duration(work.seconds)})"
+        self._words = text, verdict
         self._show_worst(text, verdict)
         self._show_frame()
 
@@ -248,6 +293,21 @@ class TrackPanel(QGroupBox):
         for one in (self.track_button, self.divisions, self.save_button):
             one.setEnabled(allowed)
         self.go_on_button.setVisible(can_go_on and allowed)
+        self._show_first()
+
+    def _show_first(self, event: Any = None) -> None:
+        """Which times would be left out, as tracking starts at the one shown."""
+        doc, layers = self._doc, self.layers
+        time = (0,) if doc.image.layer is None else doc.image.time
+        tracked = layers is not None and layers.image_layer is doc.image.layer and layers.results
+        left_out = 0 if doc.work.occupied or tracked or not time else time[-1]
+        before = "time 0 is" if left_out == 1 else f"times 0 to {left_out - 1} are"
+        text = f"Tracking would start at time {left_out}, which is shown: {before} left out."
+        self.first.say(text if left_out else "")
+        self.first_row.setVisible(left_out > 0)
+
+    def _go_to_first(self) -> None:
+        self._doc.viewer.dims.set_current_step(self._doc.viewer.dims.ndim - 4, 0)
 
     def _show_frame(self) -> None:
         """The cells of the frame that is shown, and what happened in it."""

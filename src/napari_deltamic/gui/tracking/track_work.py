@@ -156,7 +156,16 @@ class TrackWork(Task):
                 )
             yield
         left_out = sum(result.mesh is None for result in self.results)
-        text = f"{counted(len(self.results), 'time point')} tracked"
+        text = times_tracked(self.results, len(self.images))
         if left_out:
             text += f", {left_out} of them skipped"
         return Outcome("done", text)
+
+
+def times_tracked(results: Sequence[FrameResult], of: int) -> str:
+    """Which times of a series of so many were tracked."""
+    first, last = results[0].frame, results[-1].frame
+    if (first, last) == (0, of - 1):
+        return f"{counted(of, 'time point')} tracked"
+    which = f"time {first}" if first == last else f"times {first} to {last}"
+    return f"{which} of 0 to {of - 1} tracked"
