@@ -76,9 +76,14 @@ def test_closing_asks_nobody_any_more(mixture, told, spin, asked):
 
 def test_a_folder_gets_a_batch_file(mixture, told, tmp_path):
     write_image(tmp_path / "a.tif", np.ones((4, 5, 6), np.float32), (0.3, 0.2, 0.2))
+    for layer in mixture.doc.cells.ticked:
+        mixture.doc.cells.choose(layer, False)  # no cells are needed
     mixture.commands.folder_action.trigger()
-    assert told[-1].startswith("copied: napari-deltamic batch ")
-    assert more_actions.QApplication.clipboard().text() in told[-1]
+    assert told[-1].startswith("nothing runs yet: paste the command")
+    assert f"batch.toml was written to {tmp_path}" in told[-1]
+    command = more_actions.QApplication.clipboard().text()
+    assert command.startswith(f"napari-deltamic batch {tmp_path / 'batch.toml'}")
+    assert 'seeds = "auto"' in (tmp_path / "batch.toml").read_text()
     assert 'images = ["a.tif"]' in (tmp_path / "batch.toml").read_text()
     mixture.commands.folder_action.trigger()
     assert "is there already" in told[-1]

@@ -110,7 +110,7 @@ def test_what_is_rare_is_in_the_menu(shown):
         "Open session...",
         "Save session...",
         "Copy as command",
-        "Run on a folder...",
+        "Prepare a batch...",
         "Simulate cells...",
     ]
 

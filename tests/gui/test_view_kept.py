@@ -154,3 +154,17 @@ def test_the_slider_keeps_the_steps_of_the_image(app, viewer, pixels, spin, thic
     viewer.layers.remove(layer)
     assert np.isfinite(viewer.dims.range).all()
     widget.close_links()
+
+
+def test_the_box_of_the_slices_shows_how_the_viewer_was_turned(make_widget, with_image):
+    box, dims = make_widget().running.slice, with_image.dims
+    for order, name in (((2, 0, 1), "YZ"), ((1, 2, 0), "XZ"), ((0, 2, 1), "XY"), ((1, 0, 2), "XZ")):
+        dims.order = order
+        assert box.currentText() == name
+    with_image.add_image(np.zeros((2, 4, 5, 6)))
+    dims.order = (0, 3, 1, 2)
+    assert box.currentText() == "YZ"
+    dims.order = (1, 0, 2, 3)
+    assert box.currentText() == "XY"
+    dims.order = (3, 2, 1, 0)
+    assert box.currentText() == "", "the slices are across time"

@@ -57,6 +57,7 @@ def write_results(
     further: Mapping[str, Any] | None = None,
     explained: Mapping[int, float] | None = None,
     verdict: Verdict | None = None,
+    table: str | None = None,
 ) -> list[Path]:
     """Write everything that a fit found; files of the same names are replaced, all or none.
 
@@ -78,6 +79,7 @@ def write_results(
     further : sections of the report besides those that every fit has.
     explained : for a region, the share of what varies around it that the fit explains.
     verdict : how good the shapes are: for the report and the table of cells.
+    table : the text of ``measurements.csv``; None: all columns that can be measured here.
 
     Returns
     -------
@@ -102,14 +104,23 @@ def write_results(
         save_mesh(state.mesh, ply)
         save_mesh(state.mesh, rec)
         write_image(tif, rendered, grid.voxel_size)
-        known = known_of(state, grid, explained=explained, judgements=judgements)
-        cells = measure(state.mesh, known).cells
-        write_atomically(csv, cells.to_csv().encode())
-        write_atomically(toml, settings.to_toml().encode())
+        if table is None:
+            known = known_of(state, grid, explained=explained, judgements=judgements)
+            table = measure(state.mesh, known).cells.to_csv()
+        write_atomically(csv, table.encode())
+        write_atomically(toml, (_missing(settings) + settings.to_toml()).encode())
         write_atomically(png, picture_png(image, rendered, state.mesh, grid))
         text = json.dumps(facts, indent=2, allow_nan=False) + "\n"
         write_atomically(report, text.encode())
     return paths
+
+
+def _missing(settings: RunSettings) -> str:
+    """A comment for ``run.toml`` on what it needs before it repeats the run."""
+    lost = [name for name in ("image", "seeds") if not getattr(settings, name)]
+    if not lost:
+        return ""
+    return f"# Not in a file when this was written: {' and '.join(lost)}. Enter the path first.\n"
 
 
 def describe(

@@ -30,9 +30,13 @@ class CommandCopy:
         self.background = doc.background(self._failed)
         tip = "The command that repeats this run without a window."
         self.copy_action = action("Copy as command", tip, partial(doc.attempt, self.copy), parent)
-        tip = "Writes batch.toml with these settings beside the stacks, and copies its command."
-        slot = partial(doc.attempt, self._run_folder)
-        self.folder_action = action("Run on a folder...", tip, slot, parent)
+        tip = (
+            "Writes batch.toml into a folder of stacks, to fit them all with these settings, and "
+            "copies the command that runs it. Nothing is started, and no cells are needed here: "
+            "each stack's seeds are files beside it, or are found."
+        )
+        slot = partial(doc.attempt, self._prepare_batch)
+        self.folder_action = action("Prepare a batch...", tip, slot, parent)
 
     def copy(self) -> None:
         """Put the command together of what is chosen. InputError where something is missing."""
@@ -44,14 +48,19 @@ class CommandCopy:
         chosen = Chosen(settings, pixels, frame.grid(pixels.shape), seeds, second)
         self.background.ask(chosen.compared, self._checked)
 
-    def _run_folder(self) -> None:
+    def _prepare_batch(self) -> None:
         doc = self._doc
-        seeds = doc.cells.seeds(doc.image.frame())  # what is missing is told first
         fit = doc.settings.fit_of_any_image()
-        settings = doc.run_settings(seeds.path).model_copy(update={"fit": fit})
+        settings = doc.run_settings().model_copy(
+            update={"fit": fit}
+        )  # what is missing is told first
         folder = QFileDialog.getExistingDirectory(self._parent, "Folder of stacks")
         if folder:
-            self._done(write_batch(folder, settings))
+            _copy(write_batch(folder, settings))
+            doc.told.emit(
+                "nothing runs yet: paste the command, which was copied, into a terminal. "
+                f"batch.toml was written to {folder}"
+            )
 
     def _failed(self, reason: str) -> None:
         """It has nothing to do with the fit that is shown."""
@@ -70,9 +79,13 @@ class CommandCopy:
 
     def _done(self, text: str) -> None:
         self._doc.noted.emit("")
-        clipboard: Any = QApplication.clipboard()
-        clipboard.setText(text)
+        _copy(text)
         self._doc.told.emit(f"copied: {text}")
+
+
+def _copy(text: str) -> None:
+    clipboard: Any = QApplication.clipboard()
+    clipboard.setText(text)
 
 
 _OPEN, _SAVE = ("Open session...", "Opening ..."), ("Save session...", "Saving ...")

@@ -24,6 +24,7 @@ from ...images.stacks import write_image
 from ...measure.picking import region_behind, region_in_slice
 from ...results.cell_columns import value_of
 from ...results.mesh_exchange import labels_of
+from ...results.report import FILES as RESULT_FILES
 from ...results.report import write_results
 from ..cell_table import CellTable, why_of
 from ..document import Document
@@ -34,7 +35,7 @@ from ..viewing.contours import sliced_axis
 from ..viewing.frame import camera_of
 from ..viewing.listening import Presses, is_click, wants_clicks
 from ..viewing.viewer_link import ViewerLink
-from ..widgets import Note, action, button, filled, narrow_box, row
+from ..widgets import Note, action, button, confirmed, filled, narrow_box, row
 
 IMAGE_FILES = "OME-TIFF (*.ome.tif *.ome.tiff);;ImageJ TIFF (*.tif *.tiff)"
 _NEAR = 6.0  # px: how far from its contour a click may be
@@ -92,10 +93,17 @@ class ResultsPanel(QGroupBox):
             self._doc.warned.emit(str(warning.message))
 
     def save_table(self, path: str) -> None:
+        """Write the table; a name of another kind of file gets .csv at its end."""
+        if Path(path).suffix.lower() != ".csv":
+            path = _new(f"{path}.csv")
+        write_atomically(path, self._csv().encode())
+        self._saved(path)
+
+    def _csv(self) -> str:
+        """What is known of the cells, in the columns in which a cell has something."""
         names = [column.key for column in self.table.known_columns()]
         rows = [{name: value_of(row, name) for name in names} for row in self.table.rows]
-        write_atomically(path, csv_text(names, rows).encode())
-        self._saved(path)
+        return csv_text(names, rows)
 
     def save_image(self, path: str) -> None:
         state, job = self._result().of_fit()
@@ -103,14 +111,19 @@ class ResultsPanel(QGroupBox):
         self._saved(path)
 
     def save_all(self, folder: str) -> None:
-        """Write what the command line would."""
+        """Write what the command line would, with the same table as :meth:`save_table`."""
         record = self._result()
         end = record.reached
         assert end is not None
         job = end.job
         given = end.state, job.image, job.grid, job.settings, end.history, end.seconds
         verdict = None if record.judged is None else record.judged.verdict
-        write_results(folder, *given, verdict=verdict)
+        write_results(folder, *given, verdict=verdict, table=self._csv())
+        if not (job.settings.image and job.settings.seeds):
+            self._doc.warned.emit(
+                "run.toml does not repeat this run, as its image or its cells are in no file: "
+                "'Copy as command' in the menu More writes them"
+            )
         self._saved(folder)
 
     def add_labels(self) -> None:
@@ -220,11 +233,25 @@ class ResultsPanel(QGroupBox):
             path, kind = QFileDialog.getSaveFileName(self, "Save", name, kinds)
             suffix = re.search(r"\*([.\w]+)", kind or kinds)
             if path and suffix and not Path(path).suffix:
-                path += suffix[1]
+                self._doc.attempt(lambda: write(_new(path + suffix[1])))
+                return
         else:
             path = QFileDialog.getExistingDirectory(self, "Folder for the results")
-        if path:
+        if path and (name or self._may_replace(path)):
             self._doc.attempt(partial(write, path))
+
+    def _may_replace(self, folder: str) -> bool:
+        """Whether the results of another fit in a folder, if any, may be replaced."""
+        there = [file for file in RESULT_FILES if (Path(folder) / file).exists()]
+        text = f"{folder} holds another result: {', '.join(there)}."
+        return not there or confirmed(self, "Replace it?", text, "Replace it", "Keep it")
+
+
+def _new(path: str) -> str:
+    """A path that a dialog did not warn of. InputError if something is there."""
+    if Path(path).exists():
+        raise InputError(f"{path} is there already: choose it, or another name")
+    return path
 
 
 class ClickSelection:

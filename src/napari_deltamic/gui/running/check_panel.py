@@ -85,6 +85,7 @@ class CheckPanel(QGroupBox):
         self.slice = narrow_box(self, "slices", tip, _SLICES, 3)
         self._lay_out()
         self._connect()
+        self._show_slice()
         self._show()
 
     @property
@@ -139,6 +140,8 @@ class CheckPanel(QGroupBox):
         self.view.currentTextChanged.connect(doc.look)
         self.slice.activated.connect(self._turn)
         doc.listen(doc.viewer.dims.events.current_step, self._show_time)
+        for turned in (doc.viewer.dims.events.order, doc.viewer.dims.events.ndim):
+            doc.listen(turned, self._show_slice)
         self.history.moment_chosen.connect(self._look_at)
         doc.noted.connect(self.tell)
         doc.work.changed.connect(self._work_changed)
@@ -255,6 +258,14 @@ class CheckPanel(QGroupBox):
 
     def _look_at(self, moment: Moment | None) -> None:
         self.curve.show_moment(None if moment is None else moment.iteration - self._offset)
+
+    def _show_slice(self, event: Any = None) -> None:
+        """Which slices the viewer shows, whoever turned them; none for any others."""
+        dims = self._doc.viewer.dims
+        first = dims.ndim - 3
+        shown = {axis - first for axis in dims.order[-2:]}
+        names = (name for name, order in _SLICES.items() if set(order[1:]) == shown)
+        self.slice.setCurrentIndex(self.slice.findText(next(names, "")))
 
     def _turn(self, index: int) -> None:
         """Slices across another axis; those before Z, Y, X stay where they are."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from qtpy.QtWidgets import QFileDialog, QGroupBox, QLabel, QVBoxLayout, QWidget
@@ -26,7 +27,7 @@ from ..document import Document
 from ..fields import Form
 from ..layer_channels import origin_of
 from ..viewing.frame import Frame, data_of
-from ..widgets import Note, button, filled, row
+from ..widgets import Note, button, confirmed, filled, row
 from ..window_words import attempt, for_window
 from ..work import Outcome
 from .layers import TrackLayers
@@ -336,8 +337,14 @@ class TrackPanel(QGroupBox):
 
     def _ask_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder for all times")
-        if folder:
+        if folder and self._may_replace(folder):
             self._doc.attempt(partial(self.save, folder))
+
+    def _may_replace(self, folder: str) -> bool:
+        """Whether the tracks of another run in a folder, if any, may be replaced."""
+        text = f"{folder} holds the tracks of another run."
+        there = (Path(folder) / "tracks.csv").exists()
+        return not there or confirmed(self, "Replace them?", text, "Replace them", "Keep them")
 
     def _complain(self, message: str) -> None:
         self.verdict.say(message, "failed")
