@@ -17,15 +17,17 @@ def cell():
 
 
 def spot(place, z=8.0):
-    return Spot(tuple(map(float, place)), 1.0, z, z, 1)
+    there = tuple(map(float, place))
+    return Spot(there, 1.0, z, z, 1, there)
 
 
 def test_places_around_one_thing_are_one(cell):
-    """The membrane of a cell without a start is bright all around; its middle is told."""
+    """The membrane of a cell without a start is bright all around; both are told."""
     middle = np.array([3.0, 3.0, 8.0])
     around = [spot(middle + 0.9 * way) for axis in np.eye(3) for way in (axis, -axis)]
     (found,) = strays(around, cell, OPTICS)
-    assert found.position == pytest.approx(tuple(middle))
+    assert found.middle == pytest.approx(tuple(middle))
+    assert found.position in [one.position for one in around]
 
 
 def test_things_that_lie_apart_are_several_the_brightest_first(cell):
@@ -52,4 +54,5 @@ def test_what_is_bright_within_a_cell_is_no_other_cell():
 def test_things_around_a_cell_are_told_where_one_of_them_is(cell):
     around = [spot((3, 3, 1.0), 9.0), spot((3, 3, 5.0), 8.0), spot((3, 1, 3)), spot((3, 5, 3))]
     for stray in strays([*around, spot((1, 3, 3)), spot((5, 3, 3))], cell, OPTICS):
-        assert np.linalg.norm(np.subtract(stray.position, 3)) > 1
+        for place in (stray.position, stray.middle):
+            assert np.linalg.norm(np.subtract(place, 3)) > 1

@@ -8,7 +8,7 @@ import pytest
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.seeding import find_cells_button
 
-from .conftest import SHAPE, SIZE
+from .conftest import CENTER, SHAPE, SIZE
 from .sessions import save
 from .test_other_image import choose, other  # noqa: F401
 
@@ -140,3 +140,29 @@ def test_units_that_are_no_lengths_are_told(make_widget, with_image, pixels):
         del with_image.layers["odd"]
     choose(widget, "cell")
     assert "lengths" not in panel.note.text()
+
+
+def test_points_are_added_where_a_cell_can_start_and_never_twice(
+    make_widget, with_image, spin, soon
+):
+    widget = make_widget()
+    said = []
+    widget.doc.noted.connect(said.append)
+    wall = (CENTER[0], CENTER[1], CENTER[2] + 1.1)
+    things = [(CENTER, wall), (((0.3, 4.0, 0.3)), (0.3, 4.2, 0.4))]
+    for text in ("1 point added to 'seeds'", "No point was added"):
+        widget.doc.points_wanted.emit(things)
+        spin(lambda: not widget.seeds._placing.busy)
+        assert text in said[-1]
+        layer = with_image.layers["seeds"]
+        np.testing.assert_allclose(layer.data, [np.add(CENTER, 0)], atol=1e-6)
+    assert "In 1 of 2 places no cell can start" in said[-3]
+    widget.running.note.say(said[-1])
+    with_image.layers.remove(layer)
+    assert widget.running.note.text() == "", "what was said was of the points"
+
+
+def test_spheres_are_added_but_not_in_each_other(seeded, with_image):
+    inside, beside = np.add(CENTER, (0, 0.2, 0)), np.add(CENTER, (0, 1.5, 0))
+    seeded.doc.points_wanted.emit([(inside,), (beside,)])
+    np.testing.assert_allclose(with_image.layers["seeds"].data, [CENTER, beside], atol=1e-6)

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from math import exp, log, pi, sqrt
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, label, maximum_position, sum_labels
+from scipy.ndimage import center_of_mass, gaussian_filter, label, maximum_position, sum_labels
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
+from ..common.triple import triple
 from ..errors import InputError
 from ..fitting.model.checks import check_image, hot_voxels
 from ..fitting.model.saturation import filled_in
@@ -38,6 +39,8 @@ class Spot:
         Measured minus expected, summed over the spot, in the unit of the image.
     region
         Of the nearest surface.
+    middle
+        um, Z Y X: of all of it; of a membrane that is bright all around, what it encloses.
     """
 
     position: tuple[float, float, float]
@@ -45,6 +48,7 @@ class Spot:
     z: float
     light: float
     region: int
+    middle: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -297,7 +301,10 @@ def _spots(
     sizes = np.bincount(labels.reshape(-1), minlength=count + 1)[numbers]
     light = sum_labels(difference, labels, numbers)
     tree = cKDTree(mesh.vertices_numpy()[mesh.faces].mean(1))
-    at = np.asarray(grid.origin) + peaks * np.asarray(grid.voxel_size)
+    kept = np.flatnonzero(high)
+    size, origin = np.asarray(grid.voxel_size), np.asarray(grid.origin)
+    at = origin + peaks * size
+    middles = origin + np.array(center_of_mass(labels > 0, labels, numbers[kept])) * size
     sides = mesh.regions[tree.query(at)[1]]
     nearest = np.where(sides[:, 0] != 0, sides[:, 0], sides[:, 1])
     voxel = float(np.prod(grid.voxel_size))
@@ -308,6 +315,7 @@ def _spots(
             float(height[k]),
             float(light[k]),
             int(nearest[k]),
+            triple(middle),
         )
-        for k in np.flatnonzero(high)
+        for k, middle in zip(kept, middles, strict=True)
     ]

@@ -11,6 +11,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial import cKDTree
 
 from ..common.ball import ball_radius
+from ..common.triple import triple
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..optics import Optics
@@ -48,13 +49,16 @@ class Stray:
     Attributes
     ----------
     position
-        um, Z Y X: its middle.
+        um, Z Y X: where it is brightest.
     z
-        Standard deviations of the noise where it is brightest.
+        Standard deviations of the noise there.
+    middle
+        um, Z Y X: of what belongs to it; the inside of a cell, where that is its membrane.
     """
 
     position: tuple[float, float, float]
     z: float
+    middle: tuple[float, float, float]
 
 
 def strays(spots: Sequence[Spot], mesh: Mesh, optics: Optics) -> tuple[Stray, ...]:
@@ -90,10 +94,10 @@ def strays(spots: Sequence[Spot], mesh: Mesh, optics: Optics) -> tuple[Stray, ..
     for group in np.unique(groups):
         own = kept[groups == group]
         brightest = max(own, key=lambda k: bright[k].z)
-        middle = places[own].mean(axis=0)
-        # A click goes there: between things around a cell lies the cell.
-        z, y, x = (places[brightest] if _within(mesh, middle) else middle).tolist()
-        found.append(Stray((z, y, x), bright[brightest].z))
+        middle = np.mean([bright[k].middle for k in own], axis=0)
+        # Between things around a cell lies the cell.
+        inner = places[brightest] if _within(mesh, middle) else middle
+        found.append(Stray(triple(places[brightest]), bright[brightest].z, triple(inner)))
     return tuple(sorted(found, key=lambda stray: -stray.z)[: RULES.most])
 
 

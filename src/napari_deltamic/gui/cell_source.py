@@ -272,12 +272,15 @@ class CellSource(LayerTicks):
     def wanted(self) -> Wanted | None:
         """What a preview of the points is made of; None where there is nothing to show."""
         frame = None if self.spheres else self._frame()
-        sets = self._point_sets(frame) if frame is not None else []
-        if frame is None or not sets:
+        points = np.zeros((0, 3)) if frame is None else self.points(frame)
+        if frame is None or not len(points):
             return None
-        points = np.concatenate([one.points for one in sets])
         time = tuple(int(k) for k in self._viewer.dims.current_step[:-3])
         return Wanted(points, self._image.reader(), self._image.layer, frame, time)
+
+    def points(self, frame: Frame) -> FloatArray:
+        """(n, 3) um: all points that are ticked."""
+        return np.concatenate([np.zeros((0, 3)), *(x.points for x in self._point_sets(frame))])
 
     def remarks(self, problems: tuple[Problem, ...]) -> list[Remark]:
         """What may be wrong with the seeds; ``problems`` are those of a preview."""

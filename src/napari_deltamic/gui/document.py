@@ -56,7 +56,8 @@ class Document:
     finish_tools = Signal(object)  # the mouse is wanted by one: the others lay down theirs
     finish_placing = Signal(bool)  # cells are placed no more; whether their preview stays
     meshes_came = Signal()  # those of a fit: what would cover them is to be hidden
-    clicks_wanted = Signal(object)  # at places, um in the image's frame
+    points_wanted = Signal(object)  # in things, each of some places (um in the image's frame)
+    unnoted = Signal(str)  # what was noted holds no more
 
     def __init__(self, viewer: Any) -> None:
         self.viewer = viewer

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.triple import triple
+from ..common.triple import Triple, triple
 from ..errors import InputError
 from ..geometry import Mesh
 from ..geometry.labels.meshes import EDGE_IN_VOXELS
@@ -49,6 +50,28 @@ def find(points: FloatArray, image: NDArray[Any], grid: Grid) -> Found:
         return Found(None, ((str(error), ()),))
     problems = tuple((one.text, tuple(int(left[n - 1]) + 1 for n in one.points)) for one in refused)
     return Found(Mesh.merge(parts) if parts else None, problems)
+
+
+def usable(
+    choices: Sequence[Sequence[Triple]], before: FloatArray, image: NDArray[Any], grid: Grid
+) -> list[Triple]:
+    """Of each choice of places (um), the first that gives a surface; nothing where none does.
+
+    Nor where that is the surface of a point that is there before, or of another choice.
+    """
+    places = [place for choice in choices for place in choice]
+    if not places:
+        return []
+    found = find(np.array([*before.tolist(), *places]), image, grid)
+    if found.mesh is None:
+        return []
+    refused = {points[-1] for _, points in found.problems if points}
+    free, number = [], len(before)
+    for choice in choices:
+        numbers = range(number + 1, number + 1 + len(choice))
+        number += len(choice)
+        free += [p for n, p in zip(numbers, choice, strict=True) if n not in refused][:1]
+    return free
 
 
 def coarsening(shape: tuple[int, ...], size: tuple[float, ...]) -> tuple[int, ...]:

@@ -19,6 +19,7 @@ from ...results.timeline import Moment, explained
 from ..document import VIEWS, Document
 from ..record import Record
 from ..widgets import Fold, Note, Signal, button, filled, is_dark, narrow_box, row
+from ..window_words import for_window
 from .edits import Edits
 from .history_bar import HistoryBar
 from .sculpt_tool import EditBar
@@ -61,7 +62,7 @@ class CheckPanel(QGroupBox):
         self.stray_row = QWidget(self)
         self._next_stray = 0
         self.stray_go = button("Show", "Go to the next of them.", self._go_to_stray, self)
-        tip = "Add a click in each of them, for the next fit."
+        tip = "Add a point for the next fit in each of them where a cell can start."
         self.stray_add = button("Add", tip, self._add_strays, self)
         tip = (
             "Fit once more from these cells, and let the fit find how wide the PSF is and how "
@@ -144,6 +145,7 @@ class CheckPanel(QGroupBox):
             doc.listen(turned, self._show_slice)
         self.history.moment_chosen.connect(self._look_at)
         doc.noted.connect(self.tell)
+        doc.unnoted.connect(self._forget_note)
         doc.work.changed.connect(self._work_changed)
         doc.began.connect(self._began)
         doc.shown.connect(self._show_snapshot)
@@ -253,8 +255,8 @@ class CheckPanel(QGroupBox):
         self.again.setVisible(grade in ("fair", "poor") and not all_estimated)
         n = 0 if known is None else len(known.strays)
         self.stray_row.setVisible(n > 0)
-        things = "bright thing has" if n == 1 else "bright things have"
-        self.stray.say(f"{n} {things} no cell" if n else "")
+        places = "bright place has" if n == 1 else "bright places have"
+        self.stray.say(f"{n} {places} no cell" if n else "")
 
     def _look_at(self, moment: Moment | None) -> None:
         self.curve.show_moment(None if moment is None else moment.iteration - self._offset)
@@ -283,10 +285,13 @@ class CheckPanel(QGroupBox):
             self._next_stray += 1
 
     def _add_strays(self) -> None:
-        places = [stray.position for stray in self.strays]
-        if places:
-            self._doc.guarded(lambda: self._doc.clicks_wanted.emit(places))
-            self.tell("Look at the clicks, then press 'Fit': the next fit has these cells too.")
+        things = [(stray.middle, stray.position) for stray in self.strays]
+        if things:
+            self._doc.guarded(lambda: self._doc.points_wanted.emit(things))
+
+    def _forget_note(self, text: str) -> None:
+        if self.note.text() == for_window(text):
+            self.tell("")
 
     def _hide_if_empty(self) -> None:
         """The panel is there as long as it has something to say."""

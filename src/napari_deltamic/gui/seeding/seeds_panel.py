@@ -11,9 +11,11 @@ import numpy as np
 from napari.layers import Points
 from qtpy.QtWidgets import QFileDialog, QFormLayout, QGroupBox, QWidget
 
+from ...common.triple import Triple
 from ...common.words import counted, sentence
 from ...errors import InputError, RepairWarning
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
+from ...runs.seed_preview import usable
 from ..document import Document
 from ..viewing.cell_layers import LoadedMesh, load_meshes, surface_layer
 from ..viewing.frame import Frame, chosen_of, made_by_fit
@@ -43,6 +45,7 @@ class SeedsPanel(QGroupBox):
         self._time: tuple[int, ...] = ()
         self._voxels: tuple[Any, ...] = ()  # of which image, and how large
         self._open = True
+        self._added: tuple[Any, str] | None = None  # points, and what was said of them
         self._used = False  # whether a result that started from them is shown
         self._make_fields()
         self._lay_out()
@@ -71,17 +74,57 @@ class SeedsPanel(QGroupBox):
         layer.visible = True
         layer.mode = "add"
 
-    def add_clicks(self, places: Sequence[tuple[float, float, float]]) -> None:
-        """Add a point at each of some places, um in the image's frame. InputError if it cannot."""
+    def add_points(self, things: Sequence[Sequence[Triple]]) -> None:
+        """Add a point in each of some things, at the first of its places where a cell can start.
+
+        Places are um in the image's frame. InputError if there is no image.
+        """
+        frame, read = self._image.frame(), self._image.reader()
+        before, grid = self.cells.points(frame), frame.grid(self._image.shape())
+        then = partial(self._add_points, len(things), self._image.key())
+        if self.cells.spheres:  # which start anywhere, but not in each other
+            reach = float(self.radius.value())
+            away = [t[0] for t in things if (np.linalg.norm(before - t[0], axis=1) > reach).all()]
+            then(away)
+        else:
+            self._doc.noted.emit("looking for places where cells can start ...")
+            self._placing.ask(lambda: usable(things, before, read(), grid), then)
+
+    def _add_points(self, of: int, image: tuple[Any, ...], places: Sequence[Triple]) -> None:
+        """Add points at places in so many things of an image, and say so."""
+        if image != self._image.key():
+            self._doc.noted.emit("")
+            return
+        if not places:
+            self._note_points(
+                "No point was added: no cell can start there, or it has a point already. "
+                "Click in the cells yourself ('Click cells')."
+            )
+            return
         self.place_seeds()
         layer, frame = self._points_layer(), self._image.frame()
+        layer.mode = "pan_zoom"  # they are to be looked at
         scale, shift = frame.data_to_um(layer)
         added = (np.asarray(places, float) - shift) / scale
-        before = np.asarray(layer.data)
         if layer.ndim > 3:
             steps = np.array(self._viewer.dims.current_step[: layer.ndim - 3], float)
             added = np.hstack([np.tile(steps, (len(added), 1)), added])
-        layer.data = np.vstack([before, added])
+        layer.data = np.vstack([np.asarray(layer.data), added])
+        n, them = len(places), "it" if len(places) == 1 else "them"
+        text = f"{counted(n, 'point')} added to '{layer.name}': look at {them}, then press 'Fit'."
+        if n < of:
+            text += f" In {of - n} of {of} places no cell can start, or it has a point already."
+        self._note_points(text)
+
+    def _note_points(self, text: str) -> None:
+        """Say something that holds as long as the layer of the points is there."""
+        self._added = self._points_layer(), text
+        self._doc.noted.emit(text)
+
+    def _layer_removed(self, event: Any) -> None:
+        if self._added is not None and event.value is self._added[0]:
+            self._doc.unnoted.emit(self._added[1])
+            self._added = None
 
     def finish_placing(self, keep_preview: bool = False) -> None:
         """Clicks move the view again; the preview goes, or stays until there is room to be made."""
@@ -111,7 +154,7 @@ class SeedsPanel(QGroupBox):
         )
 
     def _close(self) -> None:
-        self._open = False
+        self._open, self._added = False, None
         self._of_layers.undo()
         self.remarks.forget()
 
@@ -131,6 +174,7 @@ class SeedsPanel(QGroupBox):
         )
         self.open_file = button("From file...", tip, self._ask_file, self)
         self._reading = self._doc.background(self._doc.warned.emit)
+        self._placing = self._doc.background(self._doc.refuse)
         self.find_cells = FindCells(self._doc, self)
         tip = (
             "'The membrane' finds the dark region around each click, up to its bright membrane: "
@@ -172,7 +216,8 @@ class SeedsPanel(QGroupBox):
         doc = self._doc
         doc.finish_placing.connect(self.finish_placing)
         doc.meshes_came.connect(self.make_room)
-        doc.clicks_wanted.connect(self.add_clicks)
+        doc.points_wanted.connect(self.add_points)
+        doc.listen(self._viewer.layers.events.removed, self._layer_removed)
         self._image.changed.connect(self._image_changed)
         doc.work.remarked.connect(self._remarked)
         doc.listen(self._viewer.dims.events.current_step, self._step_changed)
