@@ -240,7 +240,7 @@ def test_cells_that_are_no_better_have_the_usual_reason_with_them():
     assert reason == Reason("cells", "poor", f"cells 2, 3 are poor ({told})")
     some = judged(replace(FINE, cells=(cut, CellFacts(2, 0.6), CellFacts(3, 0.7)))).reasons
     told = "most often like cell 2: 60% of the signal around it is explained"
-    assert texts(some) == (f"cells 1, 2, 3 are fair ({told})",)
+    assert texts(some) == (f"cells 1, 2 and 3 are fair ({told})",)
 
 
 def test_growth_is_compared_with_the_other_cells():

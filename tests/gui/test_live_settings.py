@@ -60,7 +60,7 @@ def test_effects_are_taken_over_and_taken_back(begun, spin):
     panel.effects.table.tick("pixel_integration")
     spin(lambda: begun.doc.run.state.effects.names == ("pixel_integration", "attenuation"))
     assert begun.doc.run.job.settings.scene.effects.names == ("pixel_integration", "attenuation")
-    assert panel.effects_fold.title == "Corrections: voxels are boxes, dimmer with depth"
+    assert panel.effects_fold.title == "Corrections: voxel averaging, dimmer with depth"
     for left in (("attenuation",), ()):
         begun.edits.undo()
         spin(lambda left=left: begun.doc.run.state.effects.names == left)

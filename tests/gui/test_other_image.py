@@ -387,8 +387,8 @@ def test_a_result_is_not_graded_for_another_voxel_size(
     assert go_on.isEnabled()
     resize(np.multiply(SIZE, (1, 0.5, 0.5)))
     assert running.other_size.text() == (
-        "Fitted with voxels of 0.3 x 0.2 x 0.2 µm, but the image has others now: fit again for a "
-        "grade."
+        "Fitted with voxels of 0.3 x 0.2 x 0.2 µm, but its voxel size is now different: fit again "
+        "for a grade."
     )
     assert (running.grade.text(), running.strays) == ("", ())
     assert running.worst.isHidden()

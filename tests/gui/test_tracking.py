@@ -353,7 +353,7 @@ def test_which_times_are_left_out_is_said_before(widget, viewer):
     shown = widget.tracking
     assert shown.first.text() == ""
     viewer.dims.set_current_step(0, 1)
-    assert "start at time 1" in shown.first.text()
+    assert "starts at time 1" in shown.first.text()
     assert "time 0 is left out" in shown.first.text()
     viewer.dims.set_current_step(0, 3)
     assert "times 0 to 2 are left out" in shown.first.text()

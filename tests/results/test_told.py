@@ -29,7 +29,7 @@ def judged(grades, reasons):
             ["fair"] * 8 + ["poor", "poor", "good"],
             {"cells": "some are poor", "cone": "cell 1 is explained: the PSF is not"},
             ". Cell 1 is explained: the PSF is not."
-            " 8 of 11 cells are fair, cells 9, 10 are poor: the table says why.",
+            " 8 of 11 cells are fair, cells 9 and 10 are poor: the table says why.",
         ),
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 def scientific(value: float, digits: int = 3) -> str:
     """1e-3 rather than 0.001 or 1e-03, of at most so many digits."""
@@ -29,6 +31,11 @@ def duration(seconds: float, whole: bool = False) -> str:
 def sentence(text: str) -> str:
     """A reason, or a question, as a sentence."""
     return f"{text[0].upper()}{text[1:]}{'' if text.endswith('?') else '.'}" if text else ""
+
+
+def joined(words: Sequence[str]) -> str:
+    """Words as they are read out: a, b and c."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
 def counted(n: int, thing: str) -> str:

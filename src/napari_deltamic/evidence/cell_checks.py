@@ -173,7 +173,7 @@ def _dented(cell: CellFacts, fit: Facts) -> Reason | None:
 def _unseen_wall(cell: CellFacts, fit: Facts) -> Reason | None:
     if cell.unseen_wall is None:
         return None
-    text = f"the image hardly shows its wall with cell {cell.unseen_wall}: are they one cell?"
+    text = f"the image hardly shows its wall with cell {cell.unseen_wall}: they may be one cell"
     return Reason("unseen wall", "fair", text)
 
 

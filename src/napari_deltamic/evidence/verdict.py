@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field, replace
 from statistics import median_high
 from typing import Any
 
+from ..common.words import joined
 from ..geometry.judgement import Judgement
 from .cell_checks import CELL_CHECKS
 from .facts import CellFacts, Facts
@@ -143,5 +144,5 @@ def _usual_reason(cells: Sequence[CellVerdict]) -> str:
 
 def _named(cells: Sequence[CellVerdict]) -> str:
     regions = [str(cell.region) for cell in cells]
-    shown = ", ".join(regions[:12]) + (" and more" if len(regions) > 12 else "")
+    shown = joined([*regions[:12], "more"] if len(regions) > 12 else regions)
     return f"cell{'s' * (len(regions) > 1)} {shown}"

@@ -33,7 +33,7 @@ class ImagePanel(QGroupBox):
         tip = (
             "Which part of the image is fitted. To leave out bright objects that are not your "
             "cells, draw a rectangle around the cells in a Shapes layer and choose it here. It "
-            "applies to all slices; where you move the rectangle, the region follows."
+            "applies to all slices; if you move the rectangle, the region follows."
         )
         self.region = narrow_box(self, "region", tip, (WHOLE, BOX))
         self.voxel_size = TripleField("Voxel size, um. It is the scale of the image layer.", self)
@@ -86,7 +86,7 @@ class ImagePanel(QGroupBox):
         try:
             size = image.frame().voxel_size
         except InputError as error:
-            self._tell(str(error), needed=True)
+            self._tell(sentence(str(error)), needed=True)
             return
         self.voxel_size.set_value(size)
         units = set(map(str, layer.units[-3:]))

@@ -132,7 +132,12 @@ class Record:
     def judge(self, judged: Judged) -> None:
         """Take over how good the result is, and what that says of each cell."""
         self.judged = judged
-        self.rows = [{**row, **judged.cells.get(int(row["region"]), {})} for row in self.rows]
+        rows = [{**row, **judged.cells.get(int(row["region"]), {})} for row in self.rows]
+        if self.link.frame.box is not None:  # the image that was fitted is a region of the user's
+            for row in rows:
+                note = str(row.get("note") or "")
+                row["note"] = note.replace("border of the image", "border of the region")
+        self.rows = rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -138,7 +138,7 @@ def simulate_cells(
     wavelength: Annotated[float, _said("wavelength", min=0.0, max=1e5)] = 0.52,
     immersion: Annotated[str, _said("immersion", choices=list(IMMERSIONS))] = "water",
     interior: Annotated[
-        float, {"label": "light inside, 1/µm", "step": 0.05, "min": 0.0, "max": 100.0}
+        float, {"label": "fill, 1/µm", "step": 0.05, "min": 0.0, "max": 100.0}
     ] = 0.0,
     effects: str = "none",
     photons: Annotated[float, {"min": 0.1, "max": 60_000.0}] = 100.0,
@@ -162,7 +162,7 @@ def simulate_cells(
     sigma
         Standard deviations of a Gaussian PSF, um, Z Y X.
     interior
-        Fluorophores per um^3 inside cells, for one per um^2 of membrane.
+        Light inside cells: fluorophores per um^3, for one per um^2 of membrane.
     effects
         As attenuation=0.02,halo=0.1,camera:gain=2:offset=100.
     photons

@@ -29,6 +29,7 @@ def for_window(text: str) -> str:
     """A text as the window says it: with the names of its fields for flags in brackets, and µm."""
     shown = re.sub(r" \(try (--[a-z-]+) (\w+)\)", _tried, text)
     shown = re.sub(r" \((--[^)]*)\)", _placed, shown)
+    shown = shown.replace("give it a radius", "set 'start from' to 'a sphere'")
     return re.sub(r"\bum\b", "µm", shown).replace("µm^2", "µm²").replace("µm^3", "µm³")
 
 

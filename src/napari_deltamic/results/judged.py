@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.words import sentence
+from ..common.words import joined, sentence
 from ..evidence.fit_facts import verdict_of
 from ..evidence.residual import Residual, analyse_residual
 from ..evidence.unseeded_objects import Stray, strays
@@ -164,6 +164,6 @@ def _of_cells(verdict: Verdict) -> str:
             told_of.append(f"{len(regions)} of {len(verdict.cells)} cells are {grade}")
         elif regions:
             several = len(regions) > 1
-            names = ", ".join(map(str, regions))
+            names = joined([str(region) for region in regions])
             told_of.append(f"cell{'s' * several} {names} {'are' if several else 'is'} {grade}")
     return ", ".join(told_of)

@@ -33,7 +33,10 @@ def checked_image(image: ArrayLike, voxel_size: Sequence[float]) -> tuple[Image,
         or not np.issubdtype(array.dtype, np.number)
         or np.iscomplexobj(array)
     ):
-        raise InputError(f"an image of real numbers is needed to find cells, not {array.dtype}")
+        mask = ": use a mask as labels instead" if array.dtype == np.bool_ else ""
+        raise InputError(
+            f"an image of real numbers is needed to find cells, not {array.dtype}{mask}"
+        )
     voxel = three_numbers(voxel_size, "voxel size")
     missing = ~np.isfinite(array)
     if missing.all():

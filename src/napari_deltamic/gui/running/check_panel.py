@@ -51,12 +51,12 @@ class CheckPanel(QGroupBox):
         self.away_go = button("Go there", tip, self._go_to_time, self)
         self.other_size = Note(self, "fair", style="font-weight: bold;")
         self.rescued, self.rescued_row = Note(self, "fair"), QWidget(self)
-        tip = "Show what is known of the image chosen. This is lost then."
+        tip = "Show the results of the chosen image instead; this result is then lost."
         self.let_go = button("Let it go", tip, doc.let_go_rescued, self)
         self.verdict, self.grade = Note(self, style=""), Note(self, style="font-weight: bold;")
         tip = "Go to where the image differs most from the rendered one."
         self.worst = button("Worst place", tip, self.go_to_worst, self)
-        tip = "Go to where it moves most."
+        tip = "Go to where the surface moves most."
         self.moving = button("Show where the surface still moves", tip, self.go_to_moving, self)
         self.stray = Note(self)
         self.stray_row = QWidget(self)
@@ -65,8 +65,8 @@ class CheckPanel(QGroupBox):
         tip = "Add a point for the next fit in each of them where a cell can start."
         self.stray_add = button("Add", tip, self._add_strays, self)
         tip = (
-            "Fit once more from these cells, and let the fit find how wide the PSF is and how "
-            "bright each part of the membranes is."
+            "Fit once more from these cells, and also estimate how wide the PSF is and how bright "
+            "each part of the membranes is."
         )
         title = "Fit again: estimate PSF and brightness"
         self.again = button(title, tip, self.fit_again, self)
@@ -210,7 +210,7 @@ class CheckPanel(QGroupBox):
             return ""
         if doc.running:
             return f"The fit goes on with {size}; the next one takes the size of the image."
-        return f"Fitted with {size}, but the image has others now: fit again for a grade."
+        return f"Fitted with {size}, but its voxel size is now different: fit again for a grade."
 
     def _began(self, fresh: bool) -> None:
         moments = self._doc.timeline.moments
@@ -313,11 +313,11 @@ class CheckPanel(QGroupBox):
 
 
 class LiveNumbers(Fold):
-    """The numbers of PSF and effects that a fit moves: at its start, and now."""
+    """The parameters of PSF and effects that are fitted: at its start, and now."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         self.table = QLabel()
-        super().__init__("Numbers that the fit moved", self.table, parent)
+        super().__init__("Fitted parameters", self.table, parent)
         self.show_numbers([])
 
     def show_numbers(self, numbers: list[MovedNumber]) -> None:

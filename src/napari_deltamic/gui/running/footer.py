@@ -33,7 +33,7 @@ class Footer(QWidget):
         tip = "Pause. You can edit the cells while paused."
         self.pause_button = button("Pause", tip, None, self)
         self.pause_button.setCheckable(True)
-        tip = "End what runs; what it reached is kept."
+        tip = "Stop what is running; what it has reached is kept."
         self.stop_button = button("Stop", tip, self._stop, self)
         self.progress = QProgressBar(self)
         self.progress.setTextVisible(True)

@@ -43,7 +43,7 @@ class HistoryBar(QWidget):
         self.undo_button = small(button("↶", "", partial(self._take_back, edits.undo), self))
         self.redo_button = small(button("↷", "", partial(self._take_back, edits.redo), self))
         self.slider = QSlider(Qt.Orientation.Horizontal, self)
-        self.slider.setToolTip("Look at earlier moments; a fit goes on meanwhile.")
+        self.slider.setToolTip("Look at earlier moments; a fit that runs continues meanwhile.")
         self.slider.setMinimumWidth(60)
         tip = "Show the newest state again."
         self.live_button = button("Back to the end", tip, self.to_live, self)

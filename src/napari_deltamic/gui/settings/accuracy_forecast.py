@@ -59,7 +59,7 @@ _MEASURES = (
     "about a minute in the background, and as much of the processor as a fit. Click a line to "
     "use that accuracy."
 )
-_STALE = "this is of another image or PSF: measure again"
+_STALE = "these times are for another image or PSF: measure again"
 _ACCURACY = Qt.ItemDataRole.UserRole  # of a line
 BUDGET = 2.0  # s: ways that take longer are left out; one under way cannot be interrupted
 

@@ -33,7 +33,7 @@ _TIP = (
     "one how clearly it is seen, how far off the surface is without it, and what it costs. "
     "Takes at least as long as a fit, in the background. Nothing is added until you tick it."
 )
-_STALE = "this was of another image or PSF: check again"
+_STALE = "these results are for another image or PSF: check again"
 
 
 class EffectsPanel(QWidget):
@@ -163,11 +163,11 @@ class EffectsPanel(QWidget):
         names = self._open_recommendations()
         self.take_button.setVisible(bool(names))
         if self.found is not None:
-            text = ", ".join(spoken(name) for name in names)
+            text, ticked = ", ".join(map(spoken, names)), self._choice.effects.names
             self.progress.say(
                 f"recommended: {text}; choose a row to read why"
                 if names
-                else "the image gives no evidence for other corrections"
+                else f"the image gives no evidence for {'other' if ticked else 'any'} corrections"
             )
         self.described.emit()
 
@@ -262,6 +262,6 @@ class SecondViewFields(QWidget):
         try:
             self.source.view()
         except InputError as error:
-            self.note.say(str(error))
+            self.note.say(sentence(str(error)))
         else:
             self.note.say("")

@@ -17,7 +17,7 @@ from ..window_words import as_tip
 
 _COLUMNS = (
     ("correction", "Tick to include it: in a running fit from now on, otherwise in the next one."),
-    ("how\nsure", "How clearly the image shows it, in standard deviations."),
+    ("evidence\nσ", "How clearly the image shows it, in standard deviations (σ) of chance."),
     ("shift\nnm", "How far off the surface is without it, as predicted."),
     ("slower\nms", "How much longer an iteration takes with it, as predicted."),
 )

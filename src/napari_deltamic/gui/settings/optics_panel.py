@@ -131,6 +131,7 @@ class OpticsPanel(QWidget):
         """Show what is chosen, and what follows from it where that is another PSF."""
         if not by_user and not isinstance(self._choice.psf, InputError):
             self._show_fields(self._choice.psf)
+        self._say_widths()
         key = self._choice.psf_key()
         if key != self._key:
             self._key = key
@@ -154,11 +155,22 @@ class OpticsPanel(QWidget):
             page.setVisible(kind == self.kind.currentText())
         self._width = ""
         self._complain("")
-        gaussian = self._choice.psf is None
-        self.width_note.say("standard deviations along Z, Y and X, µm" if gaussian else "")
+        self._say_widths()
         self.background.drop()  # of what was shown before
         self._show_own()
         self.described.emit()
+
+    def _say_widths(self) -> None:
+        """What the fields of a Gaussian are; of others, it is said how wide they are."""
+        if self._choice.psf is None:
+            text = "Standard deviations along Z, Y and X, µm."
+            if self._choice.psf_is_open:
+                text += (
+                    " Until you edit them, a fit starts as wide as the blur of the image instead."
+                )
+            self.width_note.say(text)
+        elif not self._width:
+            self.width_note.say("")
 
     def _show_own(self) -> None:
         self.found.say("")

@@ -47,9 +47,9 @@ class SettingsPanel(QGroupBox):
         self.accuracy_number = QLabel(self)  # what the dial stands for
         self.outlook, self.pace = Note(self), Note(self)  # predicted, and measured, times
         self.outlook.setToolTip(
-            "Before the first fit of an image, that of one which settles at once: where it shows "
-            "more than the model describes, many times as long. Later ones go by what fits of it "
-            "have taken."
+            "Before the first fit of an image, this assumes a fit that settles quickly; where the "
+            "image shows more than the model describes, it can take many times as long. After "
+            "that, it goes by how long fits of this image took."
         )
         self.tradeoff = TradeoffView(doc, self)
         self.psf_button = QToolButton(self)

@@ -303,7 +303,7 @@ class TrackPanel(QGroupBox):
         tracked = layers is not None and layers.image_layer is doc.image.layer and layers.results
         left_out = 0 if doc.work.occupied or tracked or not time else time[-1]
         before = "time 0 is" if left_out == 1 else f"times 0 to {left_out - 1} are"
-        text = f"Tracking would start at time {left_out}, which is shown: {before} left out."
+        text = f"Tracking starts at time {left_out}, the one shown: {before} left out."
         self.first.say(text if left_out else "")
         self.first_row.setVisible(left_out > 0)
 

@@ -267,6 +267,6 @@ def _check_straight(layer: Any) -> None:
     moved = not np.allclose(layer.affine.affine_matrix, np.eye(layer.ndim + 1), atol=1e-9)
     if turned or moved or np.any(np.asarray(layer.shear, float) != 0):
         raise InputError(
-            f"layer '{layer.name}' is rotated, sheared or has an affine transform; "
-            "only scale and translation can be used"
+            f"layer '{layer.name}' is rotated, sheared or has an affine transform: reset that, or "
+            "resample the image along its axes first, as only scale and translation can be used"
         )

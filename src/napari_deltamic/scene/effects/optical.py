@@ -17,7 +17,7 @@ class PixelIntegration(TransferEffect):
     """A voxel collects light over its whole size instead of at its centre."""
 
     name: ClassVar[str] = "pixel_integration"
-    title: ClassVar[str] = "voxels are boxes"
+    title: ClassVar[str] = "voxel averaging"
     help: ClassVar[str] = (
         "a voxel collects light over its whole size instead of at its centre: widens the image by "
         "0.29 voxel; for voxels that are not much smaller than the PSF; takes no time that can be "
@@ -39,7 +39,7 @@ class Halo(TransferEffect):
     """A share of the light lands far from where it should, as out-of-focus light does."""
 
     name: ClassVar[str] = "halo"
-    title: ClassVar[str] = "glow around"
+    title: ClassVar[str] = "halo"
     help: ClassVar[str] = (
         "part of the light is spread far around the focus; left out, it passes for background or "
         "for light from inside the cells; the image is padded by its reach"
