@@ -7,13 +7,21 @@ import pytest
 from qtpy.QtGui import QColor
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from napari_deltamic.common.words import sentence
+from napari_deltamic.common.words import joined, sentence
+from napari_deltamic.errors import InputError
 from napari_deltamic.gui.fit_widget import Column
+from napari_deltamic.gui.record import Record
+from napari_deltamic.gui.seeding.find_cells_button import look
 from napari_deltamic.gui.viewing.colours import BY_VALUE, ByValue
 from napari_deltamic.gui.widgets import VERDICTS, Note
 from napari_deltamic.gui.window_words import for_window
 from napari_deltamic.results.judged import told
+from napari_deltamic.scene.effects import Effects
 
+from .conftest import SIZE
+
+NOTHING = SimpleNamespace(value=None)
+NO_CAMERA = SimpleNamespace(gain=NOTHING, read_noise=NOTHING, offset=NOTHING)
 GROUNDS = {"dark": "#23242b", "light": "#ebe7e6"}  # of napari's themes
 
 
@@ -118,3 +126,57 @@ def test_cells_without_a_number_are_as_grey_in_3d_as_in_2d():
         seen = np.isin(sides[:, 1], chosen) | (not chosen)
         np.testing.assert_allclose(drawn[seen, 3], 1)
         assert (drawn[~seen, 3] < 0.5).all()
+
+
+def test_words_in_a_row_are_read_out():
+    assert [joined("abc"[:n]) for n in range(4)] == ["", "a", "a and b", "a, b and c"]
+
+
+def test_a_point_is_given_a_radius_where_the_window_has_one():
+    text = "point 1 lies in no closed region of the image: give it a radius, or move it"
+    assert for_window(text).endswith("image: set 'start from' to 'a sphere', or move it")
+
+
+@pytest.mark.parametrize(
+    ("image", "says"),
+    [
+        (np.ones((1, 20, 20)), "1 x 20 x 20 voxels.*open the whole stack"),
+        (np.random.default_rng(0).random((9, 20, 20)) > 0.5, "use a mask as labels"),
+    ],
+)
+def test_images_without_cells_are_refused_with_what_to_do(image, says):
+    with pytest.raises(InputError, match=says):
+        look(lambda: image, SIZE, None)
+
+
+def test_a_turned_layer_is_refused_with_what_to_do(make_widget, with_image, pixels):
+    widget = make_widget()
+    with_image.add_image(pixels, name="turned", rotate=(0, 0, 30))
+    chooser = widget.image.chooser
+    chooser.setCurrentIndex(chooser.findText("turned"))
+    assert widget.image.note.text().startswith("Layer 'turned' is rotated")
+    assert "resample the image along its axes first" in widget.image.note.text()
+
+
+@pytest.mark.parametrize(("box", "of"), [(None, "image"), (((0, 4),) * 3, "region")])
+def test_a_region_has_a_border_of_its_own(box, of):
+    record = Record(SimpleNamespace(frame=SimpleNamespace(box=box)), rows=[{"region": 1}])
+    note = "the border of the image cuts it: what lies beyond is a guess"
+    record.judge(SimpleNamespace(cells={1: {"note": note}}))
+    assert record.rows[0]["note"].startswith(f"the border of the {of} cuts it")
+
+
+def test_fields_of_a_psf_that_the_image_tells_say_so(make_widget):
+    optics = make_widget().settings.optics
+    assert "as wide as the blur of the image" in optics.width_note.text()
+    optics.sigma._boxes[0].setValue(0.5)
+    assert optics.width_note.text() == "Standard deviations along Z, Y and X, µm."
+
+
+def test_no_other_corrections_are_spoken_of_where_none_is_ticked(make_widget):
+    effects = make_widget().settings.effects
+    nothing = {"evidence": (), "remarks": (), "recommended": (), "effects": Effects()}
+    effects.show_found(SimpleNamespace(camera=NO_CAMERA, **nothing))
+    assert effects.progress.text() == "the image gives no evidence for any corrections"
+    effects.table.tick("halo")
+    assert effects.progress.text() == "the image gives no evidence for other corrections"

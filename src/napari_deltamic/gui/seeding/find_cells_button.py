@@ -358,14 +358,13 @@ def look(
     """``CellsFound`` in the image that is read, of a size (um; None: estimated)."""
     # Imported when it is first needed, and in the thread, as that takes a while.
     from ...geometry.labels.bright_cells import cells_of
-    from ...geometry.seed_points import FEWEST_SLICES
 
     image = read()
-    if min(image.shape) < FEWEST_SLICES:
+    if min(image.shape) == 1:
         voxels = " x ".join(map(str, image.shape))
         raise InputError(
-            f"the image has {voxels} voxels: cells are found in stacks of {FEWEST_SLICES} slices "
-            "or more; open the whole stack, or start from labels"
+            f"the image has {voxels} voxels, and cells are found in stacks of several slices: "
+            "open the whole stack"
         )
     scene, _ = with_ground(SceneSettings(voxel_size=voxel_size), image)
     shape: Any = image.shape
