@@ -120,7 +120,7 @@ def test_what_concerns_all(change, grade, word):
         ({"counted": 0.7}, "fair", "30% of its surface lies in light assigned to other objects"),
         ({"counted": 0.2}, "poor", "is its seed in the right place"),
         ({"counted": 0.92}, "good", "good"),
-        ({"unseen_wall": 4}, "fair", "hardly shows its wall with cell 4: are they one cell"),
+        ({"unseen_wall": 4}, "fair", "hardly shows its wall with cell 4: they may be one cell"),
         (
             {"dent": Dent((1, 2.04, 3))},
             "fair",
@@ -237,7 +237,7 @@ def test_cells_that_are_no_better_have_the_usual_reason_with_them():
     cells = (cut, *(CellFacts(k, 0.9, cut=True, lit=0.1 + 0.05 * k) for k in (2, 3)))
     (reason,) = judged(replace(FINE, cells=cells)).reasons[1:]
     told = "like cell 2: only 20% of its surface is bright: the rest is a guess"
-    assert reason == Reason("cells", "poor", f"cells 2, 3 are poor ({told})")
+    assert reason == Reason("cells", "poor", f"cells 2 and 3 are poor ({told})")
     some = judged(replace(FINE, cells=(cut, CellFacts(2, 0.6), CellFacts(3, 0.7)))).reasons
     told = "most often like cell 2: 60% of the signal around it is explained"
     assert texts(some) == (f"cells 1, 2 and 3 are fair ({told})",)

@@ -71,8 +71,13 @@ def test_nothing_is_ticked_before_the_user_does(panel):
     assert panel._choice.effects == Effects()
     assert panel.summary() == "none; dimmer with depth recommended"
     row = row_of(panel, "attenuation")
-    assert row == {"correction": "dimmer with depth", "how": "12.3", "shift": "85", "slower": "3.2"}
-    assert row_of(panel, "pixel_integration")["how"] == ""
+    assert row == {
+        "correction": "dimmer with depth",
+        "evidence": "12.3",
+        "shift": "85",
+        "slower": "3.2",
+    }
+    assert row_of(panel, "pixel_integration")["evidence"] == ""
     assert "gain 2" in panel.remarks.text()
 
 

@@ -288,7 +288,7 @@ def test_recommendations_are_of_their_image(seeded, spin, other, monkeypatch):
     choose(seeded, "other")
     assert "recommended" not in view.summary()
     assert view.take_button.isHidden()
-    assert row_of(view, "attenuation")["how"] == ""
+    assert row_of(view, "attenuation")["evidence"] == ""
     assert "another image" in view.progress.text()
     choose(seeded, "cell")
     assert view.summary() == "none; dimmer with depth recommended"

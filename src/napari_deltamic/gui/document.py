@@ -26,7 +26,7 @@ from ..runs.settings import RunSettings, SceneSettings
 from .cell_source import CellSource
 from .fit_choice import FitChoice
 from .image_source import ImageSource, SecondSource
-from .record import Present, Record
+from .record import Fitted, Present, Record
 from .viewing.frame import Frame
 from .viewing.listening import Connections
 from .viewing.viewer_link import ViewerLink
@@ -247,10 +247,14 @@ class Document:
         record.link.show_mesh(result.state.mesh)
         yield
         record.take(result.state, job, result.history, result.seconds)
-        record.saved = record.reached
+        self.note_saved(record, record.reached)
         for tell in (self.result_changed.emit, partial(self.began.emit, True), self.ended.emit):
             tell()
             yield
+
+    def note_saved(self, record: Record, result: Fitted | None) -> None:
+        """A session file holds a result of a record; None: a state on the way to another one."""
+        record.saved = result or record.saved
 
     def let_go_rescued(self) -> None:
         """What was rescued is wanted no more: what is known of the image chosen is shown again."""

@@ -129,7 +129,7 @@ class SessionBar:
 
         def saved(path: str) -> None:
             if record is not None and session.result is not None:
-                record.saved = held
+                self._doc.note_saved(record, held)
             self._parts.tracking.note_saved(tracked)
             self._saved(path)
 
