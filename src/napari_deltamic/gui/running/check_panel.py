@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from math import isfinite
@@ -13,6 +13,7 @@ from qtpy.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen, QPolygonF
 from qtpy.QtWidgets import QGroupBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from ...common.words import counted
+from ...fitting.history import History
 from ...results.judged import Judged, told
 from ...results.moved_numbers import MovedNumber, moved_numbers
 from ...results.timeline import Moment, explained
@@ -33,6 +34,8 @@ _SCALE = (
 )
 _MOST_POINTS = 400  # points drawn
 _OVER_CURVE = 18  # px above the plot
+_CAPTION, _TOO_FEW = "what the fit has gained, by iteration", "one iteration so far"
+_HARDLY = 2.0  # per cent: who gains less is drawn no larger
 _CURVE = ("#ffb000", "#a35f00")  # on dark, and on light
 
 
@@ -74,7 +77,7 @@ class CheckPanel(QGroupBox):
         self.note = Note(self)
         self.edit = EditBar(doc, control, edits, self)
         self.history = HistoryBar(doc, edits, control, self)
-        self.curve = ExplainedCurve(self)
+        self.curve = GainCurve(self)
         self.numbers = LiveNumbers(self)
         tip = (
             "<b>rendered</b>: what the microscope would see of the present surfaces. "
@@ -190,8 +193,10 @@ class CheckPanel(QGroupBox):
         self.setTitle(record.link.with_time(_TITLE) if record is not None and shown else _TITLE)
         self._show_time()
         if ended is not None and ended.reached is not None:
-            history = ended.reached.history
-            self.curve.show_losses(history.loss, history.level, history.first)
+            history, moments = ended.reached.history, ended.timeline.moments
+            newest = moments[-1].iteration if moments else 0
+            self._offset = newest and newest - (history.first + len(history.loss) - 1)
+            self._show_curve(history)
             self.numbers.show_numbers(moved_numbers(*ended.of_fit()))
         if not shown:
             self.numbers.hide()
@@ -219,9 +224,13 @@ class CheckPanel(QGroupBox):
 
     def _show_snapshot(self, snapshot: Snapshot) -> None:
         history = self._doc.run.history
-        self.curve.show_losses(history.loss, history.level, history.first)
+        self._show_curve(history)
         if not self._doc.earlier:
             self.numbers.show_numbers(moved_numbers(snapshot.state, snapshot.job))
+
+    def _show_curve(self, history: History) -> None:
+        noted = {m.iteration - self._offset for m in self._doc.timeline.moments if m.note}
+        self.curve.show_losses(history.loss, history.level, history.first, noted)
 
     def _show_view(self) -> None:
         """What is looked at, and how it is to be read."""
@@ -333,38 +342,45 @@ class LiveNumbers(Fold):
 
 @dataclass
 class Line:
-    """The course of one level: iterations, and what was explained, in per cent."""
+    """The course of one level: iterations, and what was gained up to there, in per cent."""
 
     x: Sequence[float]
     y: Sequence[float]
 
 
-class ExplainedCurve(QWidget):
-    """What the fit explains; a line for each level, as each looks at a sharper image."""
+class GainCurve(QWidget):
+    """What the fit gains; a line for each level, as each looks at a sharper image."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.lines: list[Line] = []
-        self.text = ""
         self._now: float | None = None
         self.setMinimumSize(80, 84)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setToolTip(
-            "<qt>How closely the rendered image matches the measured one near the surfaces, over "
-            "the iterations. Nothing can match noise, so it ends below 100% even where the cells "
-            "explain all of the signal. Each line is a level: as the image gets sharper it also "
-            "gets noisier, so each new line starts lower.</qt>"
+            "<qt>How much closer the rendered image has come to the measured one near the "
+            "surfaces, over the iterations: where it is flat, nothing more is gained. Each line is "
+            "a level: the image gets sharper there. Where the fit weighs the voxels anew, the line "
+            "goes on at the same height; it falls only by what you change. The grade says how good "
+            "the end is.</qt>"
         )
 
-    def show_losses(self, loss: Sequence[float], level: Sequence[int], first: int = 1) -> None:
-        """Show the course of a fit, from its iteration ``first`` on."""
+    def show_losses(
+        self,
+        loss: Sequence[float],
+        level: Sequence[int],
+        first: int = 1,
+        changed: Collection[int] = (),
+    ) -> None:
+        """Show the course of a fit, from its iteration ``first`` on.
+
+        changed : iterations that follow upon a change by the user, in which more may be lost.
+        """
         n = min(len(loss), len(level))
-        self.text = f"{explained(loss[n - 1]):.1f}%" if n else ""
+        gained = _gained(loss[:n], [first + k in changed for k in range(n)])
         kept = [k for k in _spread(n) if isfinite(loss[k])]
         parts = [list(part) for _, part in groupby(kept, lambda k: level[k])]
-        self.lines = [
-            Line([first + k for k in part], [explained(loss[k]) for k in part]) for part in parts
-        ]
+        self.lines = [Line([first + k for k in part], [gained[k] for k in part]) for part in parts]
         self.update()
 
     def show_moment(self, x: float | None) -> None:
@@ -380,13 +396,12 @@ class ExplainedCurve(QWidget):
         faint = QColor(ink)
         faint.setAlpha(70)
         area = QRectF(self.rect()).adjusted(4, _OVER_CURVE, -4, -4)
-        painter.setPen(QPen(faint, 1))
-        painter.drawRect(area)
+        some = any(len(line.x) > 1 for line in self.lines)
         painter.setPen(ink)
-        painter.drawText(
-            QPointF(4, _OVER_CURVE - 5.0), f"match with the image and its noise  {self.text}"
-        )
-        if any(len(line.x) > 1 for line in self.lines):
+        painter.drawText(QPointF(4, _OVER_CURVE - 5.0), _CAPTION if some else _TOO_FEW)
+        if some:
+            painter.setPen(QPen(faint, 1))
+            painter.drawRect(area)
             self._draw(painter, area, faint, ink)
         painter.end()
 
@@ -395,7 +410,7 @@ class ExplainedCurve(QWidget):
         left, low = self.lines[0].x[0], min(ys)
         across = area.width() / ((self.lines[-1].x[-1] - left) or 1.0)
         # A line that hardly changes should look as if it hardly changed.
-        up = 0.9 * area.height() / max(max(ys) - low, 0.02 * abs(low), 1e-12)
+        up = 0.9 * area.height() / max(max(ys) - low, _HARDLY)
 
         def place(x: float, y: float) -> QPointF:
             height = 0.05 * area.height() + (y - low) * up
@@ -415,6 +430,22 @@ class ExplainedCurve(QWidget):
         if self._now is not None:
             painter.setPen(QPen(ink, 1))
             mark(self._now)
+
+
+def _gained(loss: Sequence[float], changed: Sequence[bool]) -> list[float]:
+    """What was gained up to each iteration, in per cent of the variation of the image.
+
+    On its way down a fit only gains: where its loss grows, it counts other voxels than before, or
+    weighs them otherwise. Only what the user changed may lose.
+    """
+    total, known, gained = 0.0, None, []
+    for value, by_user in zip(loss, changed, strict=True):
+        if isfinite(value):
+            step = 0.0 if known is None else explained(value) - explained(known)
+            total += step if by_user else max(step, 0.0)
+            known = value
+        gained.append(total)
+    return gained
 
 
 def _spread(n: int) -> list[int]:

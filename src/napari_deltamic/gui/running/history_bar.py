@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from math import isfinite
 from typing import Any
 
 from qtpy.QtCore import Qt
@@ -14,7 +13,7 @@ from superqt.utils import signals_blocked
 
 from ...common.words import sentence
 from ...errors import InputError
-from ...results.timeline import Moment, explained
+from ...results.timeline import Moment
 from ..document import Document
 from ..widgets import Note, Signal, button, column, row, small
 from ..window_words import as_tip
@@ -165,8 +164,6 @@ class HistoryBar(QWidget):
         text = ""
         if shown is not None:
             text = f"iteration {shown.iteration}"
-            if isfinite(shown.loss):
-                text += f", match {explained(shown.loss):.1f}%"
             if shown.note:
                 text += f": {shown.note}"
             if not able:
