@@ -325,3 +325,23 @@ def test_labels_that_are_replaced_have_cells_of_another_size(seeds, joined, clic
     joined.data = (scene[1] > 0).astype(np.int32)
     click("split", LEFT)
     assert seeds.corrections._corrector is not first
+
+
+def test_undo_is_there_where_there_is_something_to_undo(seeds, viewer, apart, click, scene):
+    button = seeds.corrections.undo_button
+    assert not button.isEnabled()
+    assert "Nothing to undo" in button.toolTip()
+    click("merge", LEFT)
+    assert button.isEnabled()  # the first of two clicks
+    button.click()
+    assert not button.isEnabled()
+    click("remove", RIGHT)
+    assert button.isEnabled()
+    apart.undo()  # napari's own, on Ctrl+Z
+    assert not button.isEnabled()
+    apart.paint((6, 15, 15), 3)
+    assert button.isEnabled()
+    other = viewer.add_labels(scene[1].copy(), name="other", **PLACE)
+    viewer.layers.selection = {other}
+    seeds.cells.choose(apart, False)
+    assert not button.isEnabled()

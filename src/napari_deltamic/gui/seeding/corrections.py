@@ -25,9 +25,9 @@ from ...runs.seeds import LabelSeeds
 from ..cell_source import seeds_from_layer
 from ..document import Document
 from ..viewing.frame import FloatArray, Frame, chosen_of
-from ..viewing.listening import Presses, is_click, lay_down, wants_clicks
+from ..viewing.listening import Connections, Presses, is_click, lay_down, wants_clicks
 from ..widgets import Note, Signal, ToolBar, button, small
-from ..window_words import attempt
+from ..window_words import as_tip, attempt
 
 # Title, what it does, and its name among the edits of labels.
 _TOOLS: dict[str, tuple[str, str, Action]] = {
@@ -40,6 +40,7 @@ _TOOLS: dict[str, tuple[str, str, Action]] = {
     "merge": ("Merge", "Click both halves of a cell, one after the other, to merge them.", "merge"),
     "remove": ("Remove", "Click on what is not a cell.", "remove"),
 }
+_UNDO = "Undo the last correction, or stroke of the brush (Ctrl+Z)."
 _IN_3D = "Cells that were missed are added on slices only."
 _BESIDE = "In 3D, click on a cell; what was missed is added on the slices."
 
@@ -53,8 +54,7 @@ class Corrections(QObject):
         super().__init__(parent)
         self._doc, self._viewer, self._image, self._cells = doc, doc.viewer, doc.image, doc.cells
         self.bar = bar = ToolBar({t: one[:2] for t, one in _TOOLS.items()}, _more, doc, parent)
-        tip = "Undo the last correction, or stroke of the brush (Ctrl+Z)."
-        self.undo_button, self.count = small(button("↶", tip, self.undo, bar)), Note(bar)
+        self.undo_button, self.count = small(button("↶", "", self.undo, bar)), Note(bar)
         bar.row.addWidget(self.undo_button)
         bar.column.addWidget(self.count)
         self._first: Click | None = None  # of the two that are to be merged
@@ -62,10 +62,12 @@ class Corrections(QObject):
         self._corrector: Callable[[], Corrector] | None = None
         self._corrector_of: tuple[Any, ...] = ()
         self._corrected: Any = None  # the array of the labels
+        self._of_layer = Connections()
+        self._listened_to: Any = None  # the layer whose steps can be undone
         self._clicked_in: Any = None  # the layer whose cells the tool corrects
         self._background = doc.background(self._fail)
         self._presses = Presses(doc.viewer, self._pressed)
-        doc.at_end(partial(self._listen, None))
+        doc.at_end(partial(self._listen, None), self._of_layer.undo)
         bar.tool_chosen.connect(self._tool_chosen)
 
     @property
@@ -81,6 +83,7 @@ class Corrections(QObject):
         """Look at the layers again: other ones may be ticked, or labels painted."""
         layer = self.layer
         self.bar.setVisible(layer is not None)
+        self._follow(layer)
         if layer is None:
             self.bar.use(None)
             return
@@ -89,6 +92,22 @@ class Corrections(QObject):
             self.bar.explain()
         in_use = self.bar.tool is not None
         self.count.say(counted(len(voxels_of(np.asarray(layer.data))), "cell") if in_use else "")
+
+    def _follow(self, layer: Any) -> None:
+        """Look whether there is something to undo in a layer, now and whenever that may change."""
+        if layer is not self._listened_to:
+            self._of_layer.undo()
+            self._listened_to = layer
+            for name in ("paint", "set_data") if layer is not None else ():
+                self._of_layer.connect(getattr(layer.events, name), self._show_undo)
+        self._show_undo()
+
+    def _show_undo(self, event: Any = None) -> None:
+        # A private name: where napari has none, nobody knows.
+        steps = getattr(self._listened_to, "_undo_history", True)
+        able = self._listened_to is not None and bool(steps or self._first)
+        self.undo_button.setEnabled(able)
+        self.undo_button.setToolTip(as_tip(_UNDO if able else "Nothing to undo."))
 
     def click(self, place: FloatArray) -> None:
         """Use the tool at a place, um in the image's frame."""
