@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 from napari.layers._source import layer_source
+from qtpy.QtCore import Qt
 
 import napari_deltamic as nd
 from napari_deltamic.cli import build_parser
@@ -393,6 +394,11 @@ def test_a_file_that_is_gone(from_file, pixels):
     np.testing.assert_array_equal(image, pixels)
 
 
+def swatch(table):
+    """The colour beside the number of the first cell, RGBA up to 1."""
+    return table.item(0, 0).data(Qt.ItemDataRole.DecorationRole).getRgbF()
+
+
 @pytest.mark.usefixtures("judged")
 def test_cells_are_coloured_by_a_column_and_described(ended, spin):
     results, link = ended.results, ended.doc.link
@@ -406,7 +412,9 @@ def test_cells_are_coloured_by_a_column_and_described(ended, spin):
     assert "volume" in results.scale.text()
     assert link.surface.features["volume_um3"].to_numpy() == pytest.approx(volume)
     assert len(link.surface.features) == len(link.surface.data[0])
+    assert swatch(results.table) == pytest.approx(link.contours.layer.edge_color[0], abs=0.01)
     results.colour.setCurrentIndex(0)
+    assert swatch(results.table) == pytest.approx(region_colours(1), abs=0.01)
     np.testing.assert_array_equal(link.surface.data[2], own)
     assert results.scale.text() == ""
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 from qtpy.QtCore import QEvent, Qt
 from qtpy.QtGui import QColor, QKeyEvent, QKeySequence
 from qtpy.QtWidgets import (
@@ -137,6 +138,19 @@ class CellTable(QTableWidget):
         height = int(side.length()) + sum(bar.sizeHint().height() for bar in bars) + 2
         self.setMaximumHeight(max(height, self.minimumHeight()))  # no empty room below few rows
         self._tell(by_hand=False)
+
+    def show_swatches(self, colours_of: Callable[[Any], Any]) -> None:
+        """Give each row the colour of its cell in the viewer.
+
+        colours_of : (n, 4) RGBA, up to 1, of region numbers (n,).
+        """
+        if not self._rows:
+            return
+        colours = np.round(255 * np.asarray(colours_of(np.array(list(self._rows))))).astype(int)
+        shown = dict(zip(self._rows, colours[:, :3].tolist(), strict=True))
+        for row in range(self.rowCount()):
+            item: Any = self.item(row, 0)
+            item.setData(Qt.ItemDataRole.DecorationRole, QColor(*shown[self._region(row)]))
 
     def chosen_regions(self) -> tuple[int, ...]:
         """The regions of the rows selected, in the order in which they were."""

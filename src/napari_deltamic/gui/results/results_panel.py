@@ -186,6 +186,7 @@ class ResultsPanel(QGroupBox):
         column = next((c for c in self.table.columns if c.key == key), None)
         if link is not None:
             link.colour_by(numbers)
+            self.table.show_swatches(link.contours.colours_of)
         if not numbers or column is None:
             self.scale.say("")
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -126,10 +126,13 @@ class Contours:
         if len(vectors):
             # The name of one colour is much cheaper to set than an array of them.
             shown = regions if (regions != regions[0]).any() else regions[0]
-            if self.by is not None:
-                layer.edge_color = self.by.rgba(shown, self.chosen)
-            else:
-                layer.edge_color = region_colours(shown, self.chosen, self.colours)
+            layer.edge_color = self.colours_of(shown, self.chosen)
+
+    def colours_of(self, regions: Any, chosen: Collection[int] = ()) -> NDArray[np.float64]:
+        """Of regions, (n, 4) RGBA; where some are chosen, the others are dimmed."""
+        if self.by is not None:
+            return self.by.rgba(regions, chosen)
+        return region_colours(regions, chosen, self.colours)
 
 
 def _is_off(width: float, layer: Vectors) -> bool:
