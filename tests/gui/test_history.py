@@ -155,7 +155,7 @@ def test_going_on_from_before_the_fit_swapped_its_psf_and_back(seeded, spin, swa
     spin(lambda: seeded.doc.result.judged is not None)
     first, words = seeded.doc.result.state, seeded.doc.result.words
     grade = seeded.running.grade.text()
-    assert grade
+    assert grade.startswith("Of the end: ")  # an earlier moment is shown
     assert bar.go_on_button.isEnabled()
     assert "another kind" not in bar.note.text()
     bar.go_on_button.click()
@@ -171,7 +171,7 @@ def test_going_on_from_before_the_fit_swapped_its_psf_and_back(seeded, spin, swa
     assert not record.by_hand
     assert record.words == words
     spin(lambda: record.judged is not None)
-    assert seeded.running.grade.text() == grade
+    assert seeded.running.grade.text() == grade.removeprefix("Of the end: ")
     bar.redo_button.click()  # to what the second fit reached
     assert record.state.mesh is not first.mesh
     assert not record.by_hand
@@ -323,3 +323,21 @@ def test_a_surface_that_was_hidden_is_the_newest_when_it_is_shown(begun, with_im
     assert old.shape != new.shape or not np.allclose(old, new, atol=1e-4)
     with_image.dims.ndisplay = 3
     np.testing.assert_allclose(layer.data[0], vertices(begun), atol=1e-6)
+
+
+@pytest.mark.usefixtures("judged")
+def test_while_an_earlier_moment_is_shown_grade_and_results_say_that_they_are_of_the_end(
+    ended, spin
+):
+    running, results = ended.running, ended.results
+    spin(lambda: not running.grade.isHidden())
+    grade = running.grade.text()
+    assert results.valid_for.isHidden()
+    running.history.slider.setValue(0)
+    assert running.grade.text() == f"Of the end: {grade}"
+    assert results.valid_for.text() == (
+        "An earlier moment is shown: table and exports are of the end."
+    )
+    running.history.live_button.click()
+    assert running.grade.text() == grade
+    assert results.valid_for.isHidden()

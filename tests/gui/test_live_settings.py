@@ -8,7 +8,7 @@ from napari_deltamic.fitting import Change, pending
 from napari_deltamic.scene.effects import Effects
 
 from .conftest import SIZE
-from .interacting import notes, vertices, went_on
+from .interacting import notes, pause, vertices, went_on
 
 
 def test_settings_are_taken_over(begun, spin):
@@ -76,7 +76,7 @@ def test_what_cannot_be_used_is_told_and_the_fit_goes_on(begun, spin):
 
 
 def test_the_voxel_size_is_for_the_next_run(begun, spin):
-    sigma, said = begun.doc.run.state.optics.sigma_um, begun.running.other_size
+    sigma, said = begun.doc.run.state.optics.sigma_um, begun.running.other_image
     begun.image.voxel_size._boxes[0].setValue(0.4)
     assert said.text().startswith("The fit goes on with voxels of 0.3 x 0.2 x 0.2 µm; the next")
     begun.image.voxel_size._boxes[0].setValue(SIZE[0])
@@ -149,3 +149,27 @@ def test_undo_though_the_panels_show_what_cannot_be_used(begun, with_image, spin
     with_image.layers["cell"].scale = np.multiply(SIZE, (1, -1, 1))
     begun.edits.undo()
     spin(lambda: begun.doc.run.state.optics.sigma_um[0] != pytest.approx(0.5))
+
+
+def test_a_dial_that_is_turned_and_turned_back_leaves_nothing_to_undo(begun, spin):
+    accuracy = begun.settings.accuracy
+    before = accuracy.currentText()
+    pause(begun, spin)
+    for text in ("1e-4", before):
+        accuracy.setCurrentText(text)
+        accuracy.lineEdit().editingFinished.emit()
+        if text != before:
+            assert begun.edits.undo_note.startswith("accuracy 1e-4")
+    assert begun.edits.undo_note == ""
+    assert not begun.running.history.undo_button.isEnabled()
+
+
+def test_of_a_result_no_setting_is_undone(begun, spin):
+    begun.settings.accuracy.setCurrentText("1e-4")
+    begun.settings.accuracy.lineEdit().editingFinished.emit()
+    assert begun.edits.undo_note
+    spin(lambda: begun.doc.run.job.settings.fit.accuracy == 1e-4)
+    begun.stop()
+    spin(lambda: not begun.doc.running)
+    assert begun.edits.undo_note == ""
+    assert begun.settings.accuracy.currentText() == "1e-4"

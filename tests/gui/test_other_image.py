@@ -383,10 +383,10 @@ def test_a_result_is_not_graded_for_another_voxel_size(
             with_image.layers["cell"].scale = size
 
     assert grade
-    assert running.other_size.isHidden()
+    assert running.other_image.isHidden()
     assert go_on.isEnabled()
     resize(np.multiply(SIZE, (1, 0.5, 0.5)))
-    assert running.other_size.text() == (
+    assert running.other_image.text() == (
         "Fitted with voxels of 0.3 x 0.2 x 0.2 µm, but its voxel size is now different: fit again "
         "for a grade."
     )
@@ -401,7 +401,7 @@ def test_a_result_is_not_graded_for_another_voxel_size(
     results.save_table(str(tmp_path / "cells.csv"))
     assert "fitted with voxels of 0.3 x 0.2 x 0.2" in told[-1]
     resize(SIZE)
-    assert running.other_size.isHidden()
+    assert running.other_image.isHidden()
     assert results.valid_for.isHidden()
     assert running.grade.text() == grade
     assert go_on.isEnabled()

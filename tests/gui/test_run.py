@@ -470,3 +470,23 @@ def test_a_fit_that_is_stopped_by_a_key_is_said_to_stop(begun):
     begun.start_or_stop()
     begun.doc.work.looked.emit()
     assert begun.footer.message.text() == "stopping ..."
+
+
+def test_who_pauses_while_the_fit_is_prepared_is_told_when_it_will(
+    seeded, spin, endless, monkeypatch
+):
+    gate, put_together = threading.Event(), document.put_together
+
+    def slowly(*given, **more):
+        assert gate.wait(20)
+        return put_together(*given, **more)
+
+    monkeypatch.setattr(document, "put_together", slowly)
+    seeded.start()
+    seeded.footer.pause_button.click()
+    told = seeded.footer.message
+    spin(lambda: told.text().startswith("pauses as soon as the fit has begun; "))
+    gate.set()
+    spin(lambda: told.text() == "paused after 1 iteration")
+    seeded.stop()
+    spin(lambda: not running(seeded))

@@ -28,11 +28,13 @@ from .fit_choice import FitChoice
 from .image_source import ImageSource, SecondSource
 from .record import Fitted, Present, Record
 from .viewing.frame import Frame
-from .viewing.listening import Connections
+from .viewing.listening import Connections, reference
 from .viewing.viewer_link import ViewerLink
 from .window_words import attempt
 from .work import Background, Work
 
+# What of an image may be another than when it was fitted.
+Other = Literal["", "size", "pixels", "place"]
 View = Literal["image", "rendered", "residual", "side by side"]
 VIEWS: tuple[View, ...] = get_args(View)
 
@@ -48,6 +50,7 @@ class Document:
     judged = Signal()  # more is known of the result
     selection_changed = Signal()
     view_changed = Signal()
+    looked_back = Signal()  # at an earlier moment of a fit, or at its end again
     said = Signal(str)  # what goes on
     noted = Signal(str)  # what came of something that the user did
     told = Signal(str)  # for a notification
@@ -78,11 +81,13 @@ class Document:
         self._at_stake: list[Callable[[], str]] = []  # tell what would be lost then
         self._of_run: Record | None = None
         self._rescued: Record | None = None  # its image went while it was fitted
-        self._place: tuple[Frame, tuple[int, ...]]  # that the last fit was started for
+        # That the last fit was started for, and what gives the voxels of its image.
+        self._place: tuple[Frame, tuple[int, ...], Callable[[], Any]]
         self._fresh = True  # whether the run has a mesh of its own
         self._closed = False
         self._connections = Connections()
         self._connections.connect(viewer.layers.events.removed, self._layer_removed)
+        self.image.changed.connect(self._follow_image)
 
     # ---- what there is ------------------------------------------------------------------------
 
@@ -122,6 +127,17 @@ class Document:
         record = self.record
         return None if record is None else record.link
 
+    def of_image(self, record: Record) -> bool:
+        """Whether a record is that of the image chosen, or its image is gone."""
+        layer = record.link.image_layer
+        return layer is self.image.layer or layer not in self.viewer.layers
+
+    def name_of_other(self, record: Record | None) -> str:
+        """The name of its image in quotes, where another one is chosen; else ''."""
+        if record is None or self.of_image(record):
+            return ""
+        return f"'{record.link.image_layer.name}'"
+
     @property
     def timeline(self) -> Timeline:
         """Its moments."""
@@ -134,13 +150,23 @@ class Document:
 
         That of the fit which runs, or else of the result.
         """
+        link = self.link
+        return link.frame.size_in_words if link is not None and self.other == "size" else ""
+
+    @property
+    def other(self) -> Other:
+        """What the image has of its own now: the fit that runs, or the result, has another one."""
         record = self.record
         if record is None or (self.running and not self.begun):
             return ""
-        link = record.link
-        known = link.image_layer in self.viewer.layers
-        same = not known or link.frame.has_size_of(link.image_layer)
-        return "" if same else link.frame.size_in_words
+        frame, layer = record.link.frame, record.link.image_layer
+        if layer not in self.viewer.layers:
+            return ""
+        if not frame.has_size_of(layer):
+            return "size"
+        if record.pixels is not None and record.pixels() is not layer.data:
+            return "pixels"
+        return "" if frame.has_place_of(layer) else "place"
 
     def result_of_image(self) -> tuple[Record, Present] | None:
         """The result of the image chosen, or the newest state of its fit, if there is one."""
@@ -198,7 +224,8 @@ class Document:
     def record_for(self, frame: Frame) -> Record:
         """The record of the image chosen, for a fit in a frame, at the time that is shown."""
         layer = self.image.layer
-        self._place = frame, tuple(self.viewer.dims.current_step[:-3])
+        time = tuple(self.viewer.dims.current_step[:-3])
+        self._place = frame, time, reference(layer.data)
         record = self.records.get(layer)
         if record is None:
             record = self.records[layer] = Record(self._link_for(layer, frame))
@@ -272,7 +299,9 @@ class Document:
 
     def look_back(self, earlier: bool) -> None:
         """Whether an earlier moment of a fit is looked at."""
-        self.earlier = earlier
+        if earlier != self.earlier:
+            self.earlier = earlier
+            self.looked_back.emit()
 
     def select(self, regions: Sequence[int] | frozenset[int]) -> None:
         chosen = frozenset(regions)
@@ -370,7 +399,7 @@ class Document:
 
     def _place_link(self, record: Record) -> None:
         """What is shown of a record is from now on where, and when, the last fit was started."""
-        frame, time = self._place
+        frame, time, record.pixels = self._place
         if record.link.frame != frame:
             # What it showed lies elsewhere now; cells of another fit start there, perhaps.
             record.link.remove(but=self.cells.ticked)
@@ -378,7 +407,14 @@ class Document:
         record.link.take_time(time)
 
     def _link_for(self, layer: Any, frame: Frame) -> ViewerLink:
-        return ViewerLink(self.viewer, layer, frame, partial(self._lost, layer))
+        link = ViewerLink(self.viewer, layer, frame, partial(self._lost, layer))
+        link.follow_image(layer is self.image.layer)
+        return link
+
+    def _follow_image(self) -> None:
+        """What shows the fit of another image is not seen over the one chosen."""
+        for record in self.records.values():
+            record.link.follow_image(self.of_image(record))
 
     def _lost(self, layer: Any, reason: str) -> None:
         """A layer that the fit needs is gone: end it, keep what it reached."""

@@ -256,7 +256,8 @@ class ImageSource(LayerChoice):
         self._of_layer.undo()
         self._of_region.undo()
         if layer is not None:
-            self._of_layer.connect(layer.events.scale, self._look)
+            for name in ("scale", "translate", "rotate", "data"):
+                self._of_layer.connect(getattr(layer.events, name), self._look)
             self._take_size_of_file(layer)
             self._place_meshes()
         self.looked.emit()

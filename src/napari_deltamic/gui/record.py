@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -43,6 +43,8 @@ class Record:
     reached : the result; None before there is one.
     rows : measurements of its cells.
     judged : how good it is, once that is known.
+    pixels : gives the voxels of the layer that were fitted, as long as they are there.
+    done, undone : changes by hand that can be undone, and done again.
     fitted : what the last fits ended with, whatever was changed by hand since.
     saved : the result that a session file holds; None for none.
     """
@@ -53,6 +55,9 @@ class Record:
     reached: Fitted | None = None
     rows: Sequence[Mapping[str, Any]] = ()
     judged: Judged | None = None
+    pixels: Callable[[], Any] | None = None
+    done: list[Any] = field(default_factory=list)
+    undone: list[Any] = field(default_factory=list)
     fitted: deque[Fitted] = field(default_factory=lambda: deque(maxlen=_KEPT))
     saved: Fitted | None = None
 
@@ -87,13 +92,19 @@ class Record:
         self.words, self.judged = ("", ""), None
         if fresh:
             self.timeline = Timeline()
-            self.fitted.clear()  # no undo leads back to those
+            self.forget()
         else:
             self.timeline.go_on()
 
     def reopen(self, saved: SavedResult) -> None:
         """Take over how an earlier fit went, and how it ended."""
         self.timeline, self.words = Timeline(saved.moments), (saved.verdict, saved.message)
+        self.forget()
+
+    def forget(self) -> None:
+        """No undo leads back to what there was before."""
+        self.fitted.clear()
+        self.done, self.undone = [], []
 
     def end(self, verdict: str, text: str) -> None:
         self.words = verdict, text

@@ -64,9 +64,9 @@ class ResultsPanel(QGroupBox):
         filled(QVBoxLayout(self), self.valid_for, self.table, self.why, buttons, self.scale)
         self.table.chosen.connect(self._chosen)
         self.colour.currentIndexChanged.connect(self._colour_cells)
-        for signal in (doc.result_changed, doc.judged, doc.image.changed, doc.ended):
+        of_result = doc.result_changed, doc.judged, doc.image.changed, doc.ended
+        for signal in (*of_result, doc.image.looked, doc.looked_back, doc.work.changed):
             signal.connect(self._show)
-        doc.image.looked.connect(self._show)
         doc.selection_changed.connect(self._highlight)
         self._offer_colours()
         self._show()
@@ -143,21 +143,22 @@ class ResultsPanel(QGroupBox):
 
     def _saved(self, path: str) -> None:
         size = self._doc.other_size
-        self._doc.told.emit(f"saved {path}" + (f", as it was fitted with {size}" if size else ""))
+        kept = f", as it was fitted with {size}" if size else ""
+        if self._doc.other == "pixels":
+            kept = ", as it was fitted to earlier pixels"
+        self._doc.told.emit(f"saved {path}{kept}")
 
     def _show(self) -> None:
         """The cells of the result; nothing where there is none."""
-        record, size = self._doc.result, self._doc.other_size
-        text = f"Fitted with {size}: table and exports are for that size." if size else ""
-        if self._doc.rescued is not None:
-            text = f"Of '{self._doc.rescued.link.image_layer.name}', which was removed."
-        self.valid_for.say(text)
+        record = self._doc.result
+        self.valid_for.say(self._valid_for())
         self.setVisible(record is not None)
         self.setEnabled(record is not None)
         if record is None or record.state is None:
             self._shown_of = None
             return
-        self.setTitle(record.link.with_time("5  Results"))
+        name = self._doc.name_of_other(record)
+        self.setTitle(record.link.with_time(f"5  Results of {name}" if name else "5  Results"))
         key = (record.state, record.judged)
         if key != self._shown_of:
             self._shown_of = key
@@ -166,6 +167,23 @@ class ResultsPanel(QGroupBox):
             self._offer_colours()
             if record.judged is not None:
                 record.link.describe(self.table.rows)
+
+    def _valid_for(self) -> str:
+        """What table and exports are of, where that is not what is seen."""
+        doc = self._doc
+        if doc.rescued is not None:
+            return f"Of '{doc.rescued.link.image_layer.name}', which was removed."
+        if doc.running:
+            return "Of the fit before: the one that runs has no results before it ends."
+        told = {
+            "size": f"Fitted with {doc.other_size}: table and exports are for that size.",
+            "pixels": "Fitted to other pixels than the image has now: table and exports are of "
+            "that fit.",
+            "place": "The image was moved since: what is shown of the fit stays where it was.",
+        }
+        if doc.other:
+            return told[doc.other]
+        return "An earlier moment is shown: table and exports are of the end." * doc.earlier
 
     def _offer_colours(self) -> None:
         """The columns of numbers; the one in use stays, where it can."""

@@ -32,6 +32,16 @@ _SCALE = (
     "Measured minus rendered; the colour bar is in standard deviations of the noise. Green is "
     "brighter than rendered, magenta darker."
 )
+# Of an image whose pixels are others than those that were fitted, or that lies elsewhere.
+_GOES_ON = {
+    "pixels": "The fit goes on with the earlier pixels of the image; the next one takes those that "
+    "it has now.",
+    "place": "The fit goes on where the image was; the next one takes the place of the image.",
+}
+_FITTED = {
+    "pixels": "Fitted to other pixels than the image has now: fit again for a grade.",
+    "place": "Fitted where the image no longer lies: move it back, or fit again for a grade.",
+}
 _MOST_POINTS = 400  # points drawn
 _OVER_CURVE = 18  # px above the plot
 _CAPTION, _TOO_FEW = "what the fit has gained, by iteration", "one iteration so far"
@@ -48,11 +58,12 @@ class CheckPanel(QGroupBox):
         super().__init__(_TITLE, parent)
         self._doc = doc
         self._note_of: Any = None  # the image that the note is about
+        self._of_other_fit = False  # whether it is about a fit of another one, which runs
         self._offset = 0  # iterations of the runs before the present one
         self.away, self.away_row = Note(self, "fair"), QWidget(self)
         tip = "Move the slider to the time of the result."
         self.away_go = button("Go there", tip, self._go_to_time, self)
-        self.other_size = Note(self, "fair", style="font-weight: bold;")
+        self.other_image = Note(self, "fair", style="font-weight: bold;")
         self.rescued, self.rescued_row = Note(self, "fair"), QWidget(self)
         tip = "Show the results of the chosen image instead; this result is then lost."
         self.let_go = button("Let it go", tip, doc.let_go_rescued, self)
@@ -101,11 +112,13 @@ class CheckPanel(QGroupBox):
     def _judged(self) -> Judged | None:
         """What is known of the result, where it is one of the image as it is now."""
         doc = self._doc
-        return None if doc.result is None or doc.other_size else doc.result.judged
+        return None if doc.result is None or doc.other else doc.result.judged
 
     def tell(self, text: str) -> None:
         """What came of something that the user did, in a line."""
-        self._note_of = self._doc.image.layer
+        doc = self._doc
+        self._note_of = doc.image.layer
+        self._of_other_fit = doc.running and bool(doc.name_of_other(doc.record))
         self.note.say(text)
         self._hide_if_empty()
 
@@ -155,7 +168,8 @@ class CheckPanel(QGroupBox):
         doc.view_changed.connect(self._show_view)
         for signal in (doc.image.changed, doc.result_changed, doc.judged, doc.ended):
             signal.connect(self._show)
-        doc.image.looked.connect(self._show_size)
+        doc.image.looked.connect(self._look_again)
+        doc.looked_back.connect(self._show_end)
 
     def _work_changed(self) -> None:
         if self._doc.running:  # which just began, or else nothing of it is lost
@@ -173,24 +187,31 @@ class CheckPanel(QGroupBox):
             else ""
         )
         self.rescued_row.setVisible(lost is not None and doc.image.layer is not None)
-        if self._note_of is not doc.image.layer and not doc.running:
+        over = self._of_other_fit and not doc.running
+        if over or self._note_of is not doc.image.layer:
             self.note.say("")
         ended = None if doc.running else record
         words = ("", "") if ended is None else ended.words
         if ended is not None and ended.by_hand:
             words = "", words[1]  # how the fit ended is no praise of what is shown
         self._show_verdict(*words)
-        self.other_size.say(self._size_in_words())
-        valid = ended if doc.in_sight and not doc.other_size else None
+        self.other_image.say(self._other_in_words())
+        valid = ended if doc.in_sight and not doc.other else None
         self._show_grade(valid)
         state = None if valid is None else valid.state
         self.moving.setVisible(state is not None and state.moving is not None)
         known = record is not None and (record.state is not None or (doc.running and doc.begun))
         shown = known and doc.in_sight
-        for part in (self.curve, self._looks, self.edit, self.history):
-            part.setVisible(shown)
+        self.curve.setVisible(shown)
+        other = doc.name_of_other(record)
+        # What the fit of another image has come to is not to be seen.
+        for part in (self._looks, self.edit, self.history):
+            part.setVisible(shown and not other)
+        if other:
+            self.edit.use(None)
         self._show_view()
-        self.setTitle(record.link.with_time(_TITLE) if record is not None and shown else _TITLE)
+        title = f"{_TITLE}: fit of {other}" if other else _TITLE
+        self.setTitle(record.link.with_time(title) if record is not None and shown else title)
         self._show_time()
         if ended is not None and ended.reached is not None:
             history, moments = ended.reached.history, ended.timeline.moments
@@ -202,17 +223,20 @@ class CheckPanel(QGroupBox):
             self.numbers.hide()
         self._hide_if_empty()
 
-    def _show_size(self) -> None:
-        """The scale of the image may be another, or that of the fit again."""
-        if self.other_size.text() != self._size_in_words():
+    def _look_again(self) -> None:
+        """The image may be another than what was fitted, or that again."""
+        if self.other_image.text() != self._other_in_words():
             self._show()
 
-    def _size_in_words(self) -> str:
-        """What is to be said where the image has another voxel size than what was fitted."""
+    def _other_in_words(self) -> str:
+        """What is to be said where the image is not as it was fitted."""
         doc = self._doc
-        size = doc.other_size if doc.in_sight else ""
-        if not size:
+        other = doc.other if doc.in_sight else ""
+        if not other:
             return ""
+        if other != "size":
+            return (_GOES_ON if doc.running else _FITTED)[other]
+        size = doc.other_size
         if doc.running:
             return f"The fit goes on with {size}; the next one takes the size of the image."
         return f"Fitted with {size}, but its voxel size is now different: fit again for a grade."
@@ -257,6 +281,8 @@ class CheckPanel(QGroupBox):
         text = "" if known is None else told(known, length, stopped=stopped)
         if record is not None and record.by_hand:  # no fit has looked at these shapes
             text, grade = "Changed by hand: continue the fit.", ""
+        if text and self._doc.earlier:
+            text = f"Of the end: {text}"
         self.grade.say(text, grade)
         self.worst.setVisible(known is not None and bool(known.found.spots))
         fit = None if record is None or record.job is None else record.job.settings.fit
@@ -266,6 +292,12 @@ class CheckPanel(QGroupBox):
         self.stray_row.setVisible(n > 0)
         places = "bright place has" if n == 1 else "bright places have"
         self.stray.say(f"{n} {places} no cell" if n else "")
+
+    def _show_end(self) -> None:
+        """The grade says whether it is of what is shown."""
+        doc = self._doc
+        if not doc.running:
+            self._show_grade(doc.record if doc.in_sight and not doc.other else None)
 
     def _look_at(self, moment: Moment | None) -> None:
         self.curve.show_moment(None if moment is None else moment.iteration - self._offset)
@@ -314,7 +346,7 @@ class CheckPanel(QGroupBox):
         row((self.rescued, 1), self.let_go, of=self.rescued_row)
         row((self.stray, 1), self.stray_go, self.stray_add, of=self.stray_row)
         ended = row((self.verdict, 1), self.worst)
-        whose = self.rescued_row, self.away_row, self.other_size
+        whose = self.rescued_row, self.away_row, self.other_image
         said = self.grade, self.again, ended, self.moving, self.note
         more = self.remarks, self.stray_row
         shown = self._looks, self.scale, self.curve, self.history, self.edit, self.numbers

@@ -51,20 +51,20 @@ class Edits(QObject):
         doc.began.connect(self._began)
         doc.shown.connect(self._shown)
         doc.ended.connect(self._ended)
+        for signal in (doc.image.changed, doc.work.changed):
+            signal.connect(self._tell)
         self._asked: _Asked | None = None
         self._told: NDArray[np.bool_] | None = None  # pins of the last state shown
-        self._done: list[_Step] = []
-        self._undone: list[_Step] = []
 
     @property
     def undo_note(self) -> str:
         """What undo would take back; '' for nothing."""
-        return self._done[-1].note if self._done else ""
+        return self._note(self._steps()[0])
 
     @property
     def redo_note(self) -> str:
         """What redo would do again; '' for nothing."""
-        return self._undone[-1].note if self._undone else ""
+        return self._note(self._steps()[1])
 
     @property
     def pinned(self) -> NDArray[np.bool_] | None:
@@ -113,6 +113,12 @@ class Edits(QObject):
         _check(change, present)
         back = self._back(change, present)
         self._apply(change, present, note)
+        done, undone = self._steps()
+        if done and _leads_back(change, done[-1].back):  # as if neither had been
+            done.pop()
+            undone.clear()
+            self.changed.emit()
+            return
         self._remember(note, back, present.state.mesh)
 
     def go_on_from(self, mesh: Mesh, optics: Any, note: str) -> None:
@@ -132,16 +138,17 @@ class Edits(QObject):
             self._remember(note, back, present.state.mesh)
 
     def undo(self) -> None:
-        self._take(self._done, self._undone, "undo")
+        done, undone = self._steps()
+        self._take(done, undone, "undo")
 
     def redo(self) -> None:
-        self._take(self._undone, self._done, "redo")
+        done, undone = self._steps()
+        self._take(undone, done, "redo")
 
     def _began(self, fresh: bool) -> None:
         if fresh:  # another mesh
             self._asked = self._told = None
-            self._done, self._undone = [], []
-            self.changed.emit()
+        self.changed.emit()
 
     def _shown(self, snapshot: Any) -> None:
         """The fit has taken over what was asked, or has other vertices: tell what is pinned."""
@@ -154,7 +161,21 @@ class Edits(QObject):
 
     def _ended(self) -> None:
         self._asked = None  # what came too late is in the result
+        for record in self._doc.records.values():
+            for steps in (record.done, record.undone):
+                steps[:] = [step for step in steps if not _is_of_fit_alone(step.back)]
         self.changed.emit()
+
+    def _tell(self) -> None:
+        self.changed.emit()
+
+    def _steps(self) -> tuple[list[_Step], list[_Step]]:
+        """What can be undone, and done again, of the image whose fit or result there is."""
+        record = self._doc.record
+        return ([], []) if record is None else (record.done, record.undone)
+
+    def _note(self, steps: list[_Step]) -> str:
+        return steps[-1].note if steps and self._doc.present() is not None else ""
 
     def _take(self, source: list[_Step], other: list[_Step], word: str) -> None:
         if not source:
@@ -214,9 +235,27 @@ class Edits(QObject):
             self._doc.result.pin(change.pinned)
 
     def _remember(self, note: str, back: Change, of: Mesh) -> None:
-        self._done = [*self._done, _Step(note, back, of)][-_DEEPEST:]
-        self._undone = []
+        done, undone = self._steps()
+        done.append(_Step(note, back, of))
+        del done[:-_DEEPEST], undone[:]
         self.changed.emit()
+
+
+def _is_of_fit_alone(change: Change) -> bool:
+    """Whether a change is one of settings or effects, which a result has no more."""
+    return all(one is None for one in (change.mesh, change.pinned, change.optics))
+
+
+def _leads_back(change: Change, back: Change) -> bool:
+    """Whether a change of settings or effects is what takes the last one back."""
+    if not (_is_of_fit_alone(change) and _is_of_fit_alone(back)):
+        return False
+    return change.effects == back.effects and _chosen(change) == _chosen(back)
+
+
+def _chosen(change: Change) -> Any:
+    """The settings of a change, without the levels, which the software may have noted."""
+    return None if change.settings is None else change.settings.model_copy(update={"levels": None})
 
 
 def can_take(optics: Any, present: Present) -> bool:

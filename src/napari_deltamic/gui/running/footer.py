@@ -43,14 +43,20 @@ class Footer(QWidget):
         parts = row(*buttons, spacing=4), self.reason, self.progress, self.message
         column(*parts, of=self, spacing=4).setContentsMargins(4, 4, 4, 4)
         self.pause_button.toggled.connect(self._pause)
-        doc.said.connect(self.message.say)
+        doc.said.connect(self._say)
         doc.failed.connect(self._show_reason)
-        for signal in (doc.cells_changed, doc.settings.changed, doc.image.changed):
+        changes = doc.cells_changed, doc.settings.changed, doc.image.changed, doc.image.looked
+        for signal in changes:
             signal.connect(self._look_again)
         doc.shown.connect(self._show_fit)
         doc.work.changed.connect(self._work_changed)
         doc.work.looked.connect(self._looked)
         self._work_changed()
+
+    def _say(self, text: str) -> None:
+        """Tell how far it is; of which image's fit that is, where another one is chosen."""
+        name = self._doc.name_of_other(self._doc.record) if self._doc.running else ""
+        self.message.say(f"Fit of {name}: {text}" if name and text else text)
 
     def _work_changed(self) -> None:
         task, self._iterations = self._doc.work.task, 0
@@ -95,11 +101,12 @@ class Footer(QWidget):
             waited = time.monotonic() - self._since
             if task.state is None:
                 so_far = f": {waited:.0f} s so far" if waited > _LONG else " ..."
-                self.message.say(f"{task.stage}{so_far}")
+                waits = "pauses as soon as the fit has begun; " if task.paused else ""
+                self._say(f"{waits}{task.stage}{so_far}")
             elif self._iterations and waited > self._long and not task.paused:
                 doing = "the next step takes longer" if task.stage == "fitting" else task.stage
                 so_far = f"{waited:.0f} s so far; {counted(self._iterations, 'iteration')}"
-                self.message.say(f"{doing}: {so_far}")
+                self._say(f"{doing}: {so_far}")
         elif task is not None:
             self.message.say(f"{task.stage} ...")
             if task.share is not None:
@@ -123,7 +130,7 @@ class Footer(QWidget):
         self._iterations, self._since = done, time.monotonic()
         self._long = max(_LONG, _USUAL / rate if rate > 0 else 0.0)
         stands = f"paused after {counted(done, 'iteration')}"
-        self.message.say(stands if run.paused else progress_text(done, rate, left))
+        self._say(stands if run.paused else progress_text(done, rate, left))
 
     def _advance(self, done: int, of: int, text: str = "%p%") -> None:
         """Show how far it is; painted when all is: Qt would paint the window, and wait for it."""

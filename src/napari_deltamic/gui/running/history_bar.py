@@ -79,10 +79,16 @@ class HistoryBar(QWidget):
         self._choose(None)
 
     @property
-    def _of_other_size(self) -> str:
-        """Why no fit can go on from here, where the image has another voxel size now; else ''."""
-        size = "" if self._doc.running else self._doc.other_size
-        return size and f"this was fitted with {size}, which the image no longer has"
+    def _of_other_image(self) -> str:
+        """Why no fit can go on from here, where the image is not as it was fitted; else ''."""
+        doc = self._doc
+        if doc.running or not doc.other:
+            return ""
+        return {
+            "size": f"this was fitted with {doc.other_size}, which the image no longer has",
+            "pixels": "this was fitted to other pixels, which the image no longer has",
+            "place": "this was fitted where the image no longer lies: move it back",
+        }[doc.other]
 
     def _image_changed(self) -> None:
         if not self._doc.running:  # the moments are those of another fit
@@ -103,8 +109,8 @@ class HistoryBar(QWidget):
 
         InputError where it would not be one of the image as it is now.
         """
-        if self._of_other_size:
-            raise InputError(self._of_other_size)
+        if self._of_other_image:
+            raise InputError(self._of_other_image)
         moment, present = self.chosen, self._doc.present()
         if moment is not None:
             note = f"back to iteration {moment.iteration}"
@@ -158,7 +164,7 @@ class HistoryBar(QWidget):
         able = shown is None or present is None or can_take(shown.optics, present)
         if running:
             tip = "The fit goes on from the state shown."
-        why = sentence(self._of_other_size or ("" if able else _UNABLE))
+        why = sentence(self._of_other_image or ("" if able else _UNABLE))
         self.go_on_button.setEnabled(not why)
         self.go_on_button.setToolTip(as_tip(why or tip))
         text = ""

@@ -206,10 +206,11 @@ class Judging:
         self._doc = doc
         self.background = doc.background(doc.warned.emit)
         self._spread = Spread()
+        self._asked_of: FitState | None = None  # that is being judged
         doc.shown.connect(self._show_snapshot)
         doc.began.connect(self._began)
         doc.result_changed.connect(self._judge)
-        doc.image.changed.connect(self._place)
+        doc.image.changed.connect(self._image_changed)
         doc.view_changed.connect(self._place)
 
     def _began(self, fresh: bool) -> None:
@@ -227,8 +228,17 @@ class Judging:
         """Render the result, and look at what it leaves unexplained."""
         record = self._doc.result
         if record is not None and not self._doc.running and record.judged is None:
+            self._asked_of = record.state
             work = partial(judge, *record.of_fit(), self._spread)
             self.background.ask(work, partial(self._add, record, record.state))
+
+    def _image_changed(self) -> None:
+        """A result is judged when its image is chosen, where it ended under another one."""
+        self._place()
+        record = self._doc.result
+        asked = self.background.busy and record is not None and record.state is self._asked_of
+        if not asked:
+            self._judge()
 
     def _add(self, record: Record, state: FitState | None, images: Compared) -> None:
         """Take over what was found: of a result, or, without a state, of a fit that runs."""
@@ -246,4 +256,5 @@ class Judging:
         """Each image is shown as its own record has it."""
         for record in self._doc.records.values():
             own = record is self._doc.record and self._doc.in_sight
+            own = own and self._doc.of_image(record)
             record.link.look(self._doc.view if own else "image")

@@ -29,6 +29,7 @@ from ..document import Document
 from ..layer_channels import of_one_stack
 from ..viewing.colours import label_colormap
 from ..viewing.frame import FOUND, OWN, Frame
+from ..viewing.listening import reference
 from ..widgets import Signal, slider
 
 NAME = "found cells"
@@ -47,6 +48,7 @@ class _Found:
     size : how large they are, in words; '' once they were edited.
     others : see ``FindCells.others``.
     voxel_size : that the image had, um.
+    pixels : gives the voxels that it had, as long as they are there.
     ticked, visible : whether the labels were, when another image was chosen.
     """
 
@@ -56,6 +58,7 @@ class _Found:
     size: str
     others: Sequence[tuple[float, int]]
     voxel_size: tuple[float, ...]
+    pixels: Callable[[], Any]
     ticked: bool = True
     visible: bool = True
 
@@ -63,10 +66,18 @@ class _Found:
         """Whether lengths are what they were, as the image has these voxels."""
         return bool(np.allclose(self.voxel_size, voxel_size, rtol=1e-3, atol=0))
 
+    @property
+    def of_other_pixels(self) -> bool:
+        """Whether the image has other pixels now."""
+        image = self.image()
+        return image is not None and self.pixels() is not image.data
+
     def told(self, voxel_size: tuple[float, ...]) -> str:
         """What is said of them."""
         if not self.size:
             return f"{self.count}."
+        if self.of_other_pixels:
+            return f"Found {self.count}, in other pixels than the image has now."
         if not self.of_size(voxel_size):
             return f"Found {self.count}, with another voxel size."
         return f"Found {self.count} of about {self.size}."
@@ -94,7 +105,7 @@ class _Found:
             words = str(noted["count"]), str(noted["size"])
         except (StopIteration, KeyError, TypeError, ValueError):
             return None  # it was not found here, or someone has edited what is noted
-        return cls(weakref.ref(of), layer, *words, others, size)
+        return cls(weakref.ref(of), layer, *words, others, size, reference(of.data))
 
 
 def be_found_in(layer: Any, image: Any) -> None:
@@ -130,11 +141,13 @@ class FindCells(QPushButton):
         self._sizes: list[tuple[float, int]] = []
         self._moved = self._refused = False
         self._found: WeakKeyDictionary[Any, _Found] = WeakKeyDictionary()  # by image layer
+        self._looked_in: Callable[[], Any] | None = None  # the voxels that are looked through
         self._in_use: _Found | None = None  # of the image, or of another channel of its stack
         self.background = doc.background(self._refuse)
         doc.listen(doc.viewer.layers.events.removed, self._layers_changed)
         # After its tick: new layers have one.
         doc.listen(doc.viewer.layers.events.inserted, self._layer_added, position="last")
+        doc.image.looked.connect(self._look_again)
         self.clicked.connect(self.start)
         self.cell_size.valueChanged.connect(self._note_move)
         for layer in doc.viewer.layers:  # found in a window that was closed
@@ -153,6 +166,7 @@ class FindCells(QPushButton):
             self._refuse(str(error))
             return
         size = float(self.cell_size.value()) if self._moved else None
+        self._looked_in = reference(self._image.layer.data)
         then = partial(self._show, self._image.layer, frame, size)
         self.background.ask(partial(look, read, frame.voxel_size, size), then)
         self._tell("Looking for cells ...")
@@ -217,7 +231,8 @@ class FindCells(QPushButton):
         others = [(s, k) for s, k in self._sizes if abs(s / size - 1) > _SAME]
         count = counted(len(voxels_of(labels)), "cell")
         of, words = weakref.ref(image_layer), f"{size:.3g} {frame.length}"
-        found = _Found(of, layer, count, words, others, frame.voxel_size)
+        pixels = self._looked_in or reference(image_layer.data)
+        found = _Found(of, layer, count, words, others, frame.voxel_size, pixels)
         self._found[image_layer] = self._in_use = found
         found.note()
         self._say(found, frame.voxel_size)
@@ -252,8 +267,19 @@ class FindCells(QPushButton):
 
     def _say(self, found: _Found, voxel_size: tuple[float, ...]) -> None:
         # Other sizes would be looked for in the image as it is now.
-        same = found.of_size(voxel_size) and not self._marks(found, self._image.layer)
+        same = found.of_size(voxel_size) and not found.of_other_pixels
+        same = same and not self._marks(found, self._image.layer)
         self._tell(found.told(voxel_size), found.others if same else ())
+
+    def _look_again(self) -> None:
+        """The image may have other pixels than those that the cells were found in."""
+        found, layer = self._in_use, self._image.layer
+        if found is None or layer is None or self.background.busy or self._refused:
+            return
+        with suppress(InputError):  # its panel says why
+            size = self._image.frame().voxel_size
+            if self.message != found.told(size) and found.image() is layer:
+                self._say(found, size)
 
     def _layer_for(self, image: Any, frame: Frame, labels: NDArray[np.int32]) -> Any:
         """The layer of the last time in this image if it still lies on it, else a new one."""

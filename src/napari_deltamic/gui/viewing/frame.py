@@ -104,6 +104,16 @@ class Frame:
         """Whether the voxels of an image layer are as large as these; as fields show it."""
         return bool(np.allclose(voxel_size(layer), self.voxel_size, rtol=1e-3, atol=0))
 
+    def has_place_of(self, layer: Any) -> bool:
+        """Whether an image layer with voxels of this size still lies where it did."""
+        try:
+            shift = self.data_to_um(layer)[1]
+        except InputError:  # it was turned
+            return False
+        first = np.zeros(3) if self.box is None else np.array([low for low, _ in self.box])
+        size = np.asarray(self.voxel_size)
+        return bool((np.abs(shift + first * size) <= 0.01 * size).all())
+
     def grid(self, shape: tuple[int, ...]) -> Grid:
         """The grid of an image of a shape."""
         return Grid((shape[0], shape[1], shape[2]), self.voxel_size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Generator
 from typing import Any
 
@@ -26,6 +27,14 @@ class Connections:
         for emitter, slot in self._made:
             emitter.disconnect(slot)
         self._made.clear()
+
+
+def reference(data: Any) -> Callable[[], Any]:
+    """What gives the voxels of a layer, without keeping them where that is possible."""
+    try:
+        return weakref.ref(data)
+    except TypeError:
+        return lambda: data
 
 
 class Presses:

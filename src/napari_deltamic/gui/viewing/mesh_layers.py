@@ -35,6 +35,7 @@ class MeshLayers:
     known : what the layers' metadata say of them.
     time : step of the time point that the mesh is of, of a 4D image; () where it has none.
     surface_options : further ones, of the surface.
+    of_chosen : whether their image is the one chosen: those of others are not seen.
     low : whether they lie just above the image, under what else is shown of it.
     """
 
@@ -52,6 +53,8 @@ class MeshLayers:
         self.contours.layer.metadata[OWN] = dict(self.known)
         self._contours_added = False
         self._seen_in_3d = True
+        self.of_chosen = True
+        self._put_away: dict[Any, bool] = {}  # those that are not, and whether they were seen
         self._placed = True  # whether the surface belongs to what is shown: 3D, at its time
         self._late = False  # whether the hidden surface is another than what is to be seen
         self.take_time()
@@ -64,6 +67,7 @@ class MeshLayers:
         for emitter in (dims.point, dims.order, dims.ndisplay):
             self.connections.connect(emitter, self.slice_changed)
         self.connections.connect(camera_of(viewer).events.zoom, self._zoomed)
+        self.connections.connect(self.contours.layer.events.visible, self.slice_changed)
 
     @property
     def shown(self) -> Mesh | None:
@@ -142,7 +146,8 @@ class MeshLayers:
     def slice_changed(self, event: Any = None) -> None:
         """Another slice, or view, is shown."""
         self._place_surface()
-        if self.has(self.contours.layer):
+        # napari slices no layer that is hidden, and then refuses colours for its new vectors.
+        if self.has(self.contours.layer) and self.contours.layer.visible:
             self.contours.update(self.shown if self.at_time else None, self.viewer)
 
     def draw(self, mesh: Mesh, *, passing: bool = False) -> None:
@@ -160,6 +165,25 @@ class MeshLayers:
             if not self._late:
                 self._set_surface(layer, mesh)
         self.slice_changed()
+
+    def follow_image(self, chosen: bool) -> None:
+        """Be seen only while the image is the one chosen; what the user shows or hides stays so."""
+        if chosen == self.of_chosen:
+            return
+        self.of_chosen = chosen
+        for layer in self.flat():
+            if not chosen:
+                self._put_away[layer] = bool(layer.visible)
+                layer.visible = False
+            elif not layer.visible:
+                layer.visible = self._put_away.get(layer, True)
+        if chosen:
+            self._put_away = {}
+        self._place_surface()
+
+    def flat(self) -> list[Any]:
+        """The layers that show a mesh on slices, too."""
+        return [self.contours.layer]
 
     def add(self, layer: Any, above: bool = False) -> None:
         """Add a layer, and leave the selection as it is; above: just above the image."""
@@ -263,7 +287,7 @@ class MeshLayers:
             self.slice_changed()
 
     def _belongs(self) -> bool:
-        return self.viewer.dims.ndisplay == 3 and self.at_time
+        return self.viewer.dims.ndisplay == 3 and self.at_time and self.of_chosen
 
     def _place_surface(self) -> None:
         """Show the surface where it belongs, if the user has not hidden it there."""

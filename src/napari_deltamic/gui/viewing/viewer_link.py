@@ -112,6 +112,10 @@ class ViewerLink(MeshLayers):
             )
             self._place_images()
 
+    def flat(self) -> list[Any]:
+        pins = self._pins.layer
+        return [*super().flat(), *([] if pins is None else [pins])]
+
     def made(self) -> list[Any]:
         return [*super().made(), self.rendered, self.residual, self._pins.layer]
 
@@ -238,6 +242,7 @@ class Pins:
             places,
             ndim=3,
             name=self._name,
+            visible=self._in.of_chosen,
             size=max(size, max(self._in.frame.voxel_size)),
             face_color=_OF_PINS,
             border_width=0,
