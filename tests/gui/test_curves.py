@@ -3,7 +3,7 @@
 import pytest
 
 from napari_deltamic.gui.document import Document
-from napari_deltamic.gui.running.check_panel import GainCurve
+from napari_deltamic.gui.running.gain_curve import GainCurve
 from napari_deltamic.results.timeline import Moment, Timeline
 
 LOSS, LEVEL = [0.5, 0.3, 0.2, 0.6, 0.4], [1, 1, 1, 2, 2]
