@@ -15,7 +15,7 @@ from napari_deltamic.fitting import model_choice
 from napari_deltamic.fitting.model.amplitudes import mixture
 from napari_deltamic.fitting.objective import structure_choice
 from napari_deltamic.fitting.objective.fit_objective import Objective
-from napari_deltamic.fitting.rivals import hidden_membranes, rival_structures
+from napari_deltamic.fitting.rivals import rival_structures
 from napari_deltamic.fitting.surface.surface_upkeep import SurfaceUpkeep
 from napari_deltamic.fitting.uncertainty.errors_of_measures import posed_at
 from napari_deltamic.geometry import sphere
@@ -217,13 +217,7 @@ def test_who_listens_hears_of_a_comparison_and_may_end_the_fit():
 
 
 @pytest.mark.slow
-def test_membranes_come_back_from_the_start(monkeypatch):
-    """With other triangles than the fit had come to."""
-    monkeypatch.setattr(
-        hidden_membranes,
-        "_from_further_in",
-        lambda terms, alone, *_: hidden_membranes._Trial(alone, 0, less=False),
-    )
+def test_membranes_that_a_far_too_large_start_hid_come_back(monkeypatch):
     restarted = []
     monkeypatch.setattr(SurfaceUpkeep, "restart", lambda self: restarted.append(1))
     places = (cell().vertices_numpy() - MIDDLE) * 1.35
