@@ -91,9 +91,10 @@ class VerdictRules:
         Chosen: what a reader takes for right, and for a voxel off; not measured.
     doubts
         Reasons at once, of the fit and of a cell, from which on the cell is poor, however little
-        each of them says. Measured on 357 fits of simulated scenes, by what half of the cells had:
-        in five with this many, 0.37 to 5.3 voxels off; in seven with one less 0.24 to 7.0, three of
-        them below 0.3; 0.5 and more in 9 % of those with two or three.
+        each of them says. Measured on 357 fits of simulated scenes (some of one scene by several
+        versions), by what half of the cells had: in five with this many, 0.37 to 5.3 voxels off; in
+        seven with one less 0.24 to 7.0, three of them below 0.3; more than 0.5 in nine of 41 with
+        two or three.
     """
 
     good: float = 0.75

@@ -183,7 +183,8 @@ class ResultsPanel(QGroupBox):
         }
         if doc.other:
             return told[doc.other]
-        return "An earlier moment is shown: table and exports are of the end." * doc.earlier
+        earlier = "An earlier moment is shown: table and exports are of the end."
+        return earlier if doc.earlier else ""
 
     def _offer_colours(self) -> None:
         """The columns of numbers; the one in use stays, where it can."""
