@@ -149,3 +149,14 @@ def test_microscopes_take_it_for_the_scalar_model_alone():
     assert float(found.values["spherical"]) == 0.3
     with pytest.raises(InputError, match="spherical aberration belongs to the model 'scalar'"):
         optics.microscope("confocal", model="vectorial", **given)
+
+
+def test_it_is_made_once_where_no_gradient_is_asked_for():
+    """Views of a leaf ask for gradients even under no_grad, and what asks for them is not kept."""
+    start = optics.ScalarPSF(1.2, 0.6, 1.33, spherical=0.1, fitted=("spherical",))
+    numbers = start.parameters().detach().requires_grad_()
+    with torch.no_grad():
+        found = start.with_parameters(numbers)
+    assert found.otf(AXES) is found.otf(AXES)
+    start.with_parameters(numbers).otf(AXES).abs().sum().backward()
+    assert numbers.grad is not None

@@ -81,6 +81,8 @@ class ParametricPSF:
 
     def with_parameters(self, parameters: Tensor) -> Self:
         """The same model with other values of :meth:`parameters`; differentiable."""
+        if not torch.is_grad_enabled():  # views of a leaf ask for gradients even there
+            parameters = parameters.detach()
         values = dict(self._values)
         numbers = dict(zip(self._fitted, parameters.to(torch.float64).unbind(0), strict=True))
         # What bounds another comes first.
