@@ -99,7 +99,7 @@ def fitted(width: int, beta: float, degree: int) -> Kernel:
     hermite = np.array([[2, 1, -2, 1], [-3, -2, 3, -1], [0, 1, 0, 0], [1, 0, 0, 0]], float)
     ends = np.stack([window(left), slope(left), window(left + 1), slope(left + 1)])
     in_f = (hermite @ ends)[::-1]  # powers of f, lowest first
-    cubic = np.stack([_in_t(c) for c in in_f.T], 1)
+    cubic = _in_t(in_f)
     if degree < 4:
         return Kernel(cubic[::-1].copy())
     # What is left vanishes at both ends with its slope: (1 - t^2)^2 times a polynomial.
@@ -126,11 +126,13 @@ def _raised(n: int) -> np.ndarray:
 
 
 def _in_t(powers_of_f: np.ndarray) -> np.ndarray:
-    """Powers of ``t = 2 f - 1``, lowest first."""
-    total = np.zeros(1)
+    """(4, width) powers of ``t = 2 f - 1`` in cubics of f, both lowest first, by Horner's rule."""
+    total = np.zeros_like(powers_of_f)
     for c in powers_of_f[::-1]:
-        total = polynomial.polyadd(polynomial.polymul(total, [0.5, 0.5]), [c])
-    return np.asarray(total)[:4] if len(total) >= 4 else np.pad(total, (0, 4 - len(total)))
+        total = total / 2
+        total[1:] += total[:-1].copy()
+        total[0] += c
+    return total
 
 
 def window_transform(cycles: np.ndarray, width: int, beta: np.ndarray | float) -> np.ndarray:
