@@ -273,7 +273,8 @@ class _Hankel(NamedTuple):
     where: Tensor
 
 
-_hankels: Kept[_Hankel] = Kept(6)  # planes: of a fit's levels, and of what is shown
+# Planes. Measured: a fit asks for seven in turn whenever it plans anew.
+_hankels: Kept[_Hankel] = Kept(8)
 
 
 def _hankel(ky: tuple[float, ...], kx: tuple[float, ...], r: Tensor, resolved: float) -> _Hankel:
