@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
-from napari_deltamic.cli import track_command as command
 from napari_deltamic.geometry import sphere
 from napari_deltamic.images.stacks import write_image
+from napari_deltamic.results import judged as judged_results
 from napari_deltamic.results.track_report import FILES, read_results
 from napari_deltamic.runs.track_run import TrackRun
 from napari_deltamic.tracking import track
@@ -46,7 +46,7 @@ def arguments(series, *more):
     return ("track", series / "movie.npy", *VOXELS, "--seeds", series / "start.ply", *FAST, *more)
 
 
-def test_everything_is_written(series, tmp_path, run):
+def test_everything_is_written(series, tmp_path, run, judged):
     folder = tmp_path / "out"
     code, out, err = run(*arguments(series, "--time-step", "30", "-o", folder))
     assert code == 0, err
@@ -62,7 +62,12 @@ def test_everything_is_written(series, tmp_path, run):
     ]  # fmt: skip
     assert rows[0]["displacement_um"] == ""
     assert float(rows[1]["displacement_um"]) == pytest.approx(0.14, abs=0.05)
+    assert {r["grade"] for r in rows} <= {"good", "fair"}
+    assert all(0 < float(r["shape_error_um"]) < 0.2 for r in rows)
+    assert "shapes: " in err
     report = json.loads((folder / "report.json").read_text())
+    assert all(f["judgement"].startswith(f["grade"]) for f in report["frames"])
+    assert [r.judged[1].grade for r in read_results(folder)] == [r["grade"] for r in rows]
     assert [f["used"] for f in report["frames"]] == [True] * 3
     assert report["lineage"] == [{"cell": 1, "parent": 0, "first": 0, "last": 2, "end": ""}]
     with np.load(folder / "surface.npz") as surface:
@@ -101,7 +106,7 @@ def test_an_interrupted_run_is_kept_and_can_go_on(series, tmp_path, run, monkeyp
 
     folder = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr(command, "track", interrupted)
+        patch.setattr(judged_results, "track", interrupted)
         code, out, err = run(*arguments(series, "-o", folder))
     assert code == 130
     assert "interrupted; to go on: napari-deltamic track --settings" in err

@@ -156,7 +156,7 @@ def test_a_predicted_error_decides(parts, grade, word):
     found = judged(replace(FINE, error=error, voxel=0.2))
     assert found.grade == found.cells[0].grade == grade
     assert word in found.sentence()
-    assert found.by_region()[1].shape_error == pytest.approx(off.total)
+    assert found.by_region()[1].shape_error_um == pytest.approx(off.total)
     assert found.as_plain()["error"]["whole_um"]["total"] == pytest.approx(off.total)
 
 

@@ -34,7 +34,7 @@ with warnings.catch_warnings():
     from napari_deltamic.gui.running import run_control, worker
     from napari_deltamic.gui.seeding import preview, seeds_panel
     from napari_deltamic.gui.settings import accuracy_forecast
-    from napari_deltamic.gui.tracking import track_work as tracking_work
+    from napari_deltamic.results import judged as judged_results
 
 import napari_deltamic as nd
 from napari_deltamic.accuracy import machine_costs
@@ -76,7 +76,7 @@ def quick(monkeypatch, request, a_picture):
     """What takes long after each fit, and few tests ask for, is left out."""
     if "judged" not in request.fixturenames:
         monkeypatch.setattr(run_control, "judge", _only_rendered)
-        monkeypatch.setattr(tracking_work, "judged_frame", lambda done, *of_fit: done)
+        monkeypatch.setattr(judged_results, "judged_frame", lambda done, *of_fit: done)
         monkeypatch.setattr(report, "picture_png", lambda *given: a_picture)
     if "thawed" not in request.fixturenames:
         # To count all that is frozen here takes long.
@@ -317,7 +317,7 @@ def slow_tracking(monkeypatch):
                 yield replace(state, done=None)
             yield state
 
-    monkeypatch.setattr(tracking_work, "track", states)
+    monkeypatch.setattr(judged_results, "track", states)
     return gate
 
 

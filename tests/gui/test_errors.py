@@ -7,9 +7,9 @@ import pytest
 
 from napari_deltamic.errors import InputError
 from napari_deltamic.gui.running import worker
-from napari_deltamic.gui.tracking import track_work
 from napari_deltamic.gui.window_words import attempt
 from napari_deltamic.gui.work import Background
+from napari_deltamic.results import judged
 
 LOGGER = "napari_deltamic.gui.window_words"
 
@@ -64,7 +64,7 @@ def test_a_fit(seeded, spin, told, monkeypatch, caplog, where):
 
 
 def test_tracking(series_widget, spin, told, monkeypatch, caplog):
-    monkeypatch.setattr(track_work, "track", broken)
+    monkeypatch.setattr(judged, "track", broken)
     series_widget.tracking.start()
     spin(lambda: not series_widget.tracking.work.running)
     assert tracebacks(caplog) == [KeyError]

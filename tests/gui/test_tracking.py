@@ -14,6 +14,7 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.gui.tracking import panel, track_work
 from napari_deltamic.gui.viewing.colours import region_colours
 from napari_deltamic.gui.viewing.frame import OWN, camera_of
+from napari_deltamic.results import judged as judged_results
 from napari_deltamic.results.track_report import read_results
 from napari_deltamic.tracking import FrameResult, track
 
@@ -81,7 +82,7 @@ def test_the_worst_frame_is_told_and_led_to(widget, viewer, spin, monkeypatch):
         grade = "fair" if done.frame in (1, 2) else "good"
         return replace(done, grade=grade, judgement=f"{grade}, off by 30 nm", moving=moving)
 
-    monkeypatch.setattr(track_work, "judged_frame", judged)
+    monkeypatch.setattr(judged_results, "judged_frame", judged)
     shown = widget.tracking
     shown.start()
     assert shown.worst_button.isHidden()
@@ -215,7 +216,7 @@ def test_an_error_of_the_engine_is_told_in_words(widget, spin, monkeypatch, told
         yield next(track(*arguments, **options))
         raise InputError("it cannot be")
 
-    monkeypatch.setattr(track_work, "track", broken)
+    monkeypatch.setattr(judged_results, "track", broken)
     widget.tracking.start()
     spin(ended(widget))
     assert told[-1] == "it cannot be"

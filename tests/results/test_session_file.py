@@ -21,6 +21,7 @@ from saved_sessions import (
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.geometry import files
+from napari_deltamic.geometry.judgement import Judgement
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.session_file import (
     load_session,
@@ -241,6 +242,7 @@ def test_frames_of_a_series_come_back_with_all_that_is_known_of_them(tmp_path):
         FrameResult(
             0, 0.1, session().result.state.mesh, "odd", (event,), 1 / 3, 7, 0.1 + 0.2,
             (0.3, 0.2, 0.1), (0.1, 1 / 7), "membrane", (0.1, 0.2, 0.3), "fair", "few voxels",
+            {3: Judgement("fair", 0.1, "few voxels")},
         ),
         FrameResult(1, 5.1, None, "dark"),
     )  # fmt: skip

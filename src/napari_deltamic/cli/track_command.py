@@ -6,6 +6,7 @@ import argparse
 import shlex
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,11 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.choices import AUTO
+from ..common.doing import heard
+from ..common.words import counted
 from ..common.writing import own_folder, written_together
 from ..errors import PROGRAM, InputError, failure
+from ..evidence.reason import GRADES
 from ..fitting.job import FitInput
 from ..images.padding import without_padding
 from ..images.series import ImageSeries, open_series
+from ..results.judged import judged_track
 from ..results.track_report import (
     FILES,
     forget_others,
@@ -29,7 +34,7 @@ from ..results.track_report import (
 from ..runs.settings import validated
 from ..runs.track_run import TrackRun
 from ..scene import Grid
-from ..tracking import FrameResult, track
+from ..tracking import FrameResult
 from .arguments.track_arguments import track_values
 from .folders import check_folder
 from .inputs import CHANNEL, fit_of, run_values, usable, voxel_size_of
@@ -149,6 +154,7 @@ class _Run:
                 tell(path)
         except KeyboardInterrupt:
             code = INTERRUPTED
+        print(f"shapes: {_grades(self.results)}", file=sys.stderr)
         if code:
             words = [PROGRAM, "track", "--settings", self.folder / "run.toml"]
             words += ["--resume", self.folder, "-o", self.folder]
@@ -157,23 +163,13 @@ class _Run:
         return code
 
     def _follow(self) -> None:
-        first, tracking, done = self.first, self.settings.track, tuple(self.results)
+        tracking, done = self.settings.track, tuple(self.results)
         stop = len(self.images) if tracking.stop is None else min(tracking.stop, len(self.images))
-        states = track(
-            self.images,
-            first.grid,
-            first.mesh,
-            first.optics,
-            first.settings.fit,
-            tracking=tracking,
-            effects=first.settings.scene.effects,
-            shared_ground=first.kind == "image",
-            done=done,
-        )
+        states = judged_track(self.images, self.first, done)
         with Bar(
             total=stop - tracking.first, initial=len(done), unit="frame", file=sys.stderr
         ) as bar:
-            for state in states:
+            for state in heard(states, bar.tell):
                 if state.fit is not None:
                     bar.set_postfix_str(
                         f"frame {state.frame}, level {state.fit.level}/{state.fit.levels}, "
@@ -211,3 +207,15 @@ class _Run:
             warnings=self.notes.texts,
             surface=surface,
         )
+
+
+def _grades(results: Sequence[FrameResult]) -> str:
+    """How many frames have which grade, and the worst of them with its reasons."""
+    seen = [r for r in results if r.mesh is not None and r.grade in GRADES]
+    counts = {grade: sum(r.grade == grade for r in seen) for grade in GRADES}
+    text = ", ".join(f"{counted(n, 'frame')} {grade}" for grade, n in counts.items() if n)
+    poorest = max(seen, key=lambda r: GRADES.index(r.grade), default=None)
+    if poorest is None:
+        return "not judged"
+    why = "" if poorest.grade == GRADES[0] else f"; frame {poorest.frame}: {poorest.judgement}"
+    return text + why

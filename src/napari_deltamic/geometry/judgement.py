@@ -13,12 +13,12 @@ class Judgement:
     ----------
     grade
         good, fair or poor.
-    shape_error
-        um: what its surface is thought to be off by; None where that is not known.
+    shape_error_um
+        What its surface is thought to be off by; None where that is not known.
     reasons
         Why it is no better, joined; empty if there are none.
     """
 
     grade: str
-    shape_error: float | None = None
+    shape_error_um: float | None = None
     reasons: str = ""

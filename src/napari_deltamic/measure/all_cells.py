@@ -88,7 +88,7 @@ def cells_table(sides: Sides, known: Known, pressures: Mapping[int, Estimate]) -
         row["explained"] = known.explained.get(region)
         judged = known.judgements.get(region)
         if judged is not None:
-            row["grade"], row["shape_error_um"] = judged.grade, judged.shape_error
+            row["grade"], row["shape_error_um"] = judged.grade, judged.shape_error_um
         row["note"] = notes(
             said := "" if judged is None else judged.reasons,
             _about_volume(row),

@@ -8,6 +8,7 @@ from math import nan
 import numpy as np
 
 from ..geometry.contacts import neighbours
+from ..geometry.judgement import Judgement
 from ..tracking import FrameResult, lineage
 from .cells import measure_cells
 
@@ -24,6 +25,8 @@ TRACK_COLUMNS = (
     "centroid_x_um",
     "displacement_um",
     "neighbours",
+    "grade",
+    "shape_error_um",
     "message",
 )
 TrackRow = dict[str, int | float | str]
@@ -38,7 +41,9 @@ def measure_tracks(results: Sequence[FrameResult]) -> list[TrackRow]:
         parent : the cell that it was born of; 0 for none
         displacement_um : of the centre since the last good frame; NaN in the first one
         neighbours : the cells with which it shares a wall, with spaces between
-        message : what happened to it then; in its last frame, why it ends
+        grade, shape_error_um : good, fair or poor, and what its surface is thought to be off by
+        message : what happened to it then, and why its grade is no better; in its last frame, why
+            it ends
 
         The others are those of ``measure_cells``.
     """
@@ -55,7 +60,8 @@ def measure_tracks(results: Sequence[FrameResult]) -> list[TrackRow]:
             life = lives[number]
             center = np.array([cell[f"centroid_{axis}_um"] for axis in "zyx"])
             others = touched[number]
-            words = [told.get(number, "")]
+            judged = result.judged.get(number, Judgement(""))
+            words, off = [told.get(number, ""), judged.reasons], judged.shape_error_um
             if life.parent and life.first == result.frame:
                 words.append(f"born of cell {life.parent}")
             if life.end and life.last == result.frame:
@@ -70,6 +76,8 @@ def measure_tracks(results: Sequence[FrameResult]) -> list[TrackRow]:
                     **{key: cell[key] for key in TRACK_COLUMNS[4:10]},
                     "displacement_um": float(moved),
                     "neighbours": " ".join(map(str, others)),
+                    "grade": judged.grade,
+                    "shape_error_um": nan if off is None else off,
                     "message": "; ".join(filter(None, words)),
                 }
             )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.doing import doing
 from ..common.words import joined, sentence
 from ..evidence.fit_facts import verdict_of
 from ..evidence.residual import Residual, analyse_residual
@@ -21,7 +22,8 @@ from ..fitting.model.checks import check_image, without_hot
 from ..geometry import Mesh
 from ..measure import measure
 from ..measure.of_fit import known_of
-from ..tracking import FrameResult
+from ..runs.track_run import TrackRun
+from ..tracking import FrameResult, TrackState, track
 
 _LISTED = 6  # cells, at most; of more it is told how many they are
 
@@ -108,7 +110,56 @@ def judged_frame(
     seen, _ = without_hot(image)
     own = replace(job, image=seen, mesh=before, counted=counted)
     verdict = verdict_of(own, state, analyse_residual(seen, job.grid, state, counted=counted))
-    return replace(done, grade=verdict.grade, judgement=verdict.sentence())
+    judged = verdict.by_region()
+    return replace(done, grade=verdict.grade, judgement=verdict.sentence(), judged=judged)
+
+
+def judged_track(
+    images: Sequence[Any] | Any, job: FitInput, done: Sequence[FrameResult] = ()
+) -> Iterator[TrackState]:
+    """Track as :func:`~napari_deltamic.tracking.track` does; each frame that is done has its grade.
+
+    Parameters
+    ----------
+    images : all frames, (Z, Y, X) each, read when asked for.
+    job : the fit of the first frame, with the settings of the whole.
+    done : frames of an earlier run to go on from.
+
+    Raises
+    ------
+    InputError
+        As ``track``, at once.
+    """
+    settings = job.settings
+    assert isinstance(settings, TrackRun)
+    states = track(
+        images,
+        job.grid,
+        job.mesh,
+        job.optics,
+        settings.fit,
+        tracking=settings.track,
+        effects=settings.scene.effects,
+        shared_ground=job.kind == "image",  # cells without a seed would attract the others
+        done=done,
+    )
+    before = next((r.mesh for r in reversed(done) if r.mesh is not None), job.mesh)
+    return _graded(states, images, job, before)
+
+
+def _graded(
+    states: Iterable[TrackState], images: Sequence[Any] | Any, job: FitInput, before: Mesh
+) -> Iterator[TrackState]:
+    """The same states; a frame that is done has its grade."""
+    for state in states:
+        last = state.last_fit
+        if state.done is None or last is None:
+            yield state
+            continue
+        doing("judging the shapes")
+        result = judged_frame(state.done, last, job, images[state.frame], before)
+        before = last.mesh
+        yield replace(state, done=result)
 
 
 def _measured(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, nan
 from typing import Annotated, Literal
@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, InstanceOf, PlainSerializer
 from ..common.triple import Triple
 from ..errors import InputError
 from ..fitting.model.state import FitState
+from ..geometry.judgement import Judgement
 from ..geometry.mesh import Mesh
 
 EventKind = Literal["divided", "ended", "alarm"]
@@ -56,6 +57,7 @@ class FrameResult:
     structure : what shines, membrane, interior or both; empty where it is not known.
     moving : um: where the surface still moves; None where it rests.
     grade, judgement : good, fair or poor, and why; empty where nobody has asked.
+    judged : the same of each cell, with the predicted error of its shape.
     """
 
     frame: int
@@ -72,6 +74,7 @@ class FrameResult:
     moving: Triple | None = None
     grade: str = ""
     judgement: str = ""
+    judged: Mapping[int, Judgement] = field(default_factory=dict)
 
     @property
     def cells(self) -> tuple[int, ...]:

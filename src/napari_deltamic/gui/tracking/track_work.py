@@ -8,14 +8,14 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ...common.doing import listening
+from ...common.doing import heard, listening
 from ...common.words import counted
 from ...fitting.job import FitInput
-from ...results.judged import judged_frame
+from ...results.judged import judged_track
 from ...results.session_parts import SavedTracks
 from ...results.timeline import explained
 from ...runs.track_run import TrackRun
-from ...tracking import FrameResult, track
+from ...tracking import FrameResult
 from ..viewing.frame import Box, finite
 from ..window_words import words_of
 from ..work import Outcome, Task
@@ -124,28 +124,12 @@ class TrackWork(Task):
             job = self.job = self.prepare()
         yield
         assert job is not None, "is not offered without one"
-        settings, count, before = self.settings, len(self.frames), job.mesh
-        for state in track(
-            self.images,
-            job.grid,
-            job.mesh,
-            job.optics,
-            settings.fit,
-            tracking=settings.track,
-            effects=settings.scene.effects,
-            shared_ground=self.shared_ground,
-            done=done,
-        ):
+        count = len(self.frames)
+        for state in heard(judged_track(self.images, job, done), self.step):
             self.seconds = time.monotonic() - began
             fit = state.fit
             if state.done is not None:
-                result, last, number = state.done, state.last_fit, state.done.frame
-                if last is not None:
-                    place = number - self.frames.start + 1
-                    self.stage = f"time {number} ({place} of {count}): judging it"
-                    result = judged_frame(result, last, job, self.images[number], before)
-                    before = last.mesh
-                self.results.append(result)
+                self.results.append(state.done)
             elif fit is not None:
                 number = state.frame - self.frames.start
                 self.share = (number + (fit.level - 1) / max(fit.levels, 1)) / count
