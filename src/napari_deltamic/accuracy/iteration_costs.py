@@ -72,13 +72,13 @@ class ForecastRules:
         Simulated images need up to 2.7 times (``benchmarks.eta``); three regions of nuclei 13 to 16
         times.
     trusted
-        Iterations after which the pace of a fit counts as much as its forecast; the first ones say
-        little.
+        Iterations after which the pace of a fit counts as much as its forecast, since the first
+        ones say little.
     teach
         Fewest iterations from which a fit teaches anything: the first ones prepare what later ones
         reuse.
     farthest
-        Largest factor by which a forecast can be off; beyond it there was another cause, such as a
+        Largest factor by which a forecast can be off: more would have another cause, such as a
         machine that slept or another program.
     """
 
