@@ -163,7 +163,7 @@ def _columns(ground: Background, places: Floats) -> Floats:
 
 
 def _range(ground: Background) -> float:
-    """From its darkest place to its brightest."""
+    """Difference between its brightest and its darkest place."""
     steps = np.linspace(-1, 1, 5)  # for two degrees as good as all voxels
     places = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(-1, 3)
     return float(np.ptp(_columns(ground, places) @ np.array(ground.coefficients)))

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 
 class Calm:
-    """From ``begin`` to ``end``, garbage collection skips all objects that existed before.
+    """Lets garbage collection skip, from ``begin`` to ``end``, all objects that existed before.
 
     A pass over all that napari and its plugins hold takes 0.2 to 0.3 s, during which nothing else
     can happen. Objects without references are still freed at once; only reference cycles wait for

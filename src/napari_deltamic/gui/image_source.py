@@ -157,7 +157,7 @@ class ImageSource(LayerChoice):
 
     @property
     def taken_channel(self) -> Choice | None:
-        """Which channel of the layer :meth:`with_channels` this layer is; None if it is none."""
+        """The channel that this layer is of the one by :meth:`with_channels`; None if of none."""
         of = None if self.layer is None else self._taken.get(self.layer)
         return of[1] if of is not None and of[0]() in self._viewer.layers else None
 

@@ -45,10 +45,10 @@ def measure_surface(
     surface
         Meshes of a fit, or of a mesh file.
     image
-        That they were fitted to: tells which cells its border cuts; cells then become a Labels
-        layer on its voxels, with the measurements as features.
+        Image that they were fitted to: tells which cells its border cuts; cells then become a
+        Labels layer on its voxels, with the measurements as features.
     folder
-        For tables, meshes and labels; a new one, or one without measurements.
+        Folder for tables, meshes and labels; a new one, or one without measurements.
     """
     if surface is None:
         raise InputError("there is no Surface layer to measure")
@@ -150,27 +150,27 @@ def simulate_cells(
     Parameters
     ----------
     cells
-        How many.
+        Number of cells.
     kind
-        A foam shares walls, vesicles keep apart.
+        Cells of a foam share walls; vesicles lie apart.
     shape
-        Voxels, Z Y X.
+        Size of the image in voxels, Z Y X.
     voxel_size
-        um, Z Y X.
+        Size of a voxel, um, Z Y X.
     psf
-        A Gaussian, or that of a microscope.
+        A Gaussian, or the PSF of a microscope.
     sigma
         Standard deviations of a Gaussian PSF, um, Z Y X.
     interior
         Light inside cells: fluorophores per um^3, for one per um^2 of membrane.
     effects
-        As attenuation=0.02,halo=0.1,camera:gain=2:offset=100.
+        Effects with their numbers, such as attenuation=0.02,halo=0.1,camera:gain=2:offset=100.
     photons
-        In the brightest voxel, on top of the background.
+        Photons in the brightest voxel, on top of the background.
     background
-        Photons in every voxel.
+        Photons of the background in every voxel.
     seed
-        Of cells and noise; the same one gives the same image.
+        Random seed of cells and noise; the same seed gives the same image.
     """
     grid = Grid(shape, voxel_size)
     chosen = Effects.from_text(effects)

@@ -83,7 +83,7 @@ class Footer(QWidget):
             self.reason.say(sentence(self._missing()) if same else "")
 
     def _missing(self) -> str:
-        """Why a fit could not start now, as far as is known without reading voxels; '' if it could."""
+        """Why no fit could start now, as far as is known without reading voxels; '' if one could."""
         doc = self._doc
         try:
             doc.cells.seeds(doc.image.frame(), copied=False)

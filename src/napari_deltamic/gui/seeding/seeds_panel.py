@@ -289,7 +289,7 @@ class SeedsPanel(QGroupBox):
             self._later.start()
 
     def _remarked(self, warning: Warning) -> None:
-        """Keep a remark on what was left out or repaired in the cells as long as they are the same."""
+        """Keep a remark on what was left out of, or repaired in, the cells until these change."""
         if isinstance(warning, RepairWarning) and self._open:
             self.cells.be_told(str(warning))
             self._show_remarks()
