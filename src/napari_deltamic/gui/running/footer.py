@@ -83,7 +83,7 @@ class Footer(QWidget):
             self.reason.say(sentence(self._missing()) if same else "")
 
     def _missing(self) -> str:
-        """Why no fit could start now, as far as is known without reading voxels; '' if one could."""
+        """Why no fit can start now, as far as is known without reading voxels; '' if one can."""
         doc = self._doc
         try:
             doc.cells.seeds(doc.image.frame(), copied=False)
