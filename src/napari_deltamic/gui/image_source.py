@@ -157,7 +157,7 @@ class ImageSource(LayerChoice):
 
     @property
     def taken_channel(self) -> Choice | None:
-        """The choice by which the layer is a channel of :meth:`with_channels`; None if it is none."""
+        """The choice that makes this layer one channel of :meth:`with_channels`; else None."""
         of = None if self.layer is None else self._taken.get(self.layer)
         return of[1] if of is not None and of[0]() in self._viewer.layers else None
 
