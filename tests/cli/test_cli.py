@@ -57,7 +57,7 @@ def test_cells_of_a_size_are_looked_for(data, tmp_path, run, fails):
     assert RunSettings.from_toml(tmp_path / "out" / "run.toml").seeds == "auto:2.5"
     assert re.search(r"note: 1 cell was found, about [2-3][.0-9]* um across \(auto:12 looks", err)
     again = (*given, "--overwrite", "--seeds")
-    assert "'wide' is no size of cells" in fails(*again, "auto:wide")
+    assert "'wide' is not a cell size" in fails(*again, "auto:wide")
     assert "must be positive (um), not -1" in fails(*again, "auto:-1")
     np.save(tmp_path / "flat.npy", np.random.default_rng(0).poisson(9, SHAPE).astype(np.float32))
     nothing = ("fit", tmp_path / "flat.npy", *VOXELS, "-o", tmp_path / "out2")

@@ -113,9 +113,9 @@ def test_nuclei_of_another_channel_mark_the_cells(image, tmp_path, told):
 @pytest.mark.parametrize(
     ("told", "file", "words"),
     [
-        ("auto@", "two.tif", "which channel of which file"),
-        ("auto@2", "", "which channel of which file"),
-        ("auto@2:x", "two.tif", "'x' is no size of cells"),
+        ("auto@", "two.tif", "which channel of the image"),
+        ("auto@2", "", "which channel of the image"),
+        ("auto@2:x", "two.tif", "'x' is not a cell size"),
         ("auto@3", "two.tif", "3"),
         ("auto@1", "other.tif", "the nuclei have shape"),
     ],

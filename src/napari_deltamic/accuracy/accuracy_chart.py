@@ -1,4 +1,4 @@
-"""What accuracy costs, as tables and charts: for the command line, the widget and the pages."""
+"""What accuracy costs, as tables and charts for the command line, the widget and the docs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SHAPES = (
 
 
 def ways_table(ways: Sequence[Way]) -> str:
-    """Aligned columns: time of an image, with its gradient, memory, errors; a line for each way."""
+    """A table with a line per way: time of an image, with gradient, memory, errors."""
     return aligned([_WAYS, *(_way_cells(way) for way in ways)], left=(0, len(_WAYS) - 1))
 
 
@@ -47,7 +47,7 @@ def _way_cells(way: Way) -> tuple[str, ...]:
 
 
 def shape_table(found: Sequence[ShapeError], voxel: float) -> str:
-    """Aligned columns: choice, predicted and measured error of the surface, what it takes."""
+    """A table with a line per choice: predicted and measured surface error, and what it takes."""
     stop = enough(found)
     rows = [
         (
@@ -68,7 +68,7 @@ def shape_table(found: Sequence[ShapeError], voxel: float) -> str:
 
 
 def shape_answer(found: Sequence[ShapeError]) -> str:
-    """Which choice is enough, in a sentence."""
+    """A sentence that names the choice that is enough."""
     draws = len(found[0].errors)
     given = f"given this noise ({draws} draw{'s' if draws > 1 else ''})"
     return f"{enough(found)} is the fastest choice within 5 % of the least error, {given}."
@@ -174,7 +174,7 @@ def shape_facts(found: Sequence[ShapeError], voxel: float) -> dict[str, Any]:
 
 
 def short(accuracy: float) -> str:
-    """1e-3 rather than 0.001 or 1e-03."""
+    """An accuracy as text: 1e-3 rather than 0.001 or 1e-03; 0 is marked as exact."""
     return "0 (exact)" if accuracy == 0 else scientific(accuracy)
 
 

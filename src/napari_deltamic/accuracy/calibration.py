@@ -27,16 +27,16 @@ from ..fourier.spreading import choose_spreading, gaussian
 from ..geometry.mesh import Mesh
 from ..geometry.primitives import sphere
 
-_BUDGET = 0.8  # s, after which no further round is begun, so that all takes about a second
-_ROUNDS = 5  # at most; the fastest counts, or what is kept would be that of a busy moment
-_PULL = 0.05  # towards the usual proportions: too weak to be seen where something was measured
+_BUDGET = 0.8  # s, after which no further round is started, so that all takes about a second
+_ROUNDS = 5  # at most; the fastest counts, else the costs kept could be from a busy moment
+_PULL = 0.05  # towards the usual proportions: too weak to matter where something was measured
 # What is timed: small and large, so that each cost is most of the time of some trial. Closed form:
 # subdivisions and radius (um) of a ball, wavevectors across.
 _CLOSED = ((2, 0.05, 9), (1, 0.01, 61), (1, 0.3, 31))
-# Particle-mesh, for the same reason, so that all widths are there: subdivisions of a ball,
+# Particle-mesh, likewise, and so that all widths occur: subdivisions of a ball,
 # wavevectors across, tolerance of the spreading.
 _SPREAD = ((0, 13, 2e-3), (3, 15, 2e-2), (3, 15, 2e-5), (1, 51, 2e-3))
-_RADIUS = 0.3  # um, of a ball in a cube of 1 um: any that fits would do
+_RADIUS = 0.3  # um, of a ball in a cube of 1 um: any radius that fits would do
 _IMAGES = ((15, 32), (31, 60))  # wavevectors and voxels across: two, since there are two costs
 
 # Voxels, their size and the PSF's width (um), accuracy: the time of a plan hardly depends on them.
@@ -46,14 +46,14 @@ _BLUR = 3.0  # voxels
 
 @dataclass(frozen=True)
 class _Trial:
-    """Something to time, forward and with its gradient, and the work that it is."""
+    """A computation to time, forward and with its gradient, and the work that it stands for."""
 
     work: Work
     forward: Callable[[], Tensor]
     leaf: Tensor
 
     def times(self) -> tuple[float, float]:
-        """Seconds forward, and of both."""
+        """Seconds for the forward computation, and for it with its gradient."""
         start = time.perf_counter()
         out = self.forward()
         middle = time.perf_counter()
@@ -62,9 +62,10 @@ class _Trial:
 
 
 def calibrate() -> Costs:
-    """Time what a rendering and a fit are made of; the fastest of several short runs.
+    """Time the parts of a rendering and a fit; the fastest of several short runs counts.
 
-    Takes about a second. What else the machine does is in the pace of a fit, and is learned.
+    Takes about a second. What else the machine is doing shows in the pace of fits, and is learned
+    from them.
     """
     start = time.perf_counter()
     trials = {single: _trials(single) for single in (True, False)}
@@ -99,8 +100,8 @@ def calibrate() -> Costs:
 
 
 def _solved(works: list[Work], seconds: list[float], single: bool, gradient: bool) -> Rates:
-    """Rates that explain the times, each relative to its size; none is negative."""
-    # A trial is one half of a rendering: the transform, or the way from there to the image.
+    """Non-negative rates that explain the times best, each time relative to its size."""
+    # A trial is half of a rendering: the transform, or the step from there to the image.
     matrix = np.array([[0.5, *astuple(w)] for w in works])
     times = np.array(seconds)
     guess = np.array(astuple(BUILT_IN.rates(single, gradient)))
@@ -160,7 +161,7 @@ def _particle_mesh(subdivisions: int, side: int, tolerance: float, single: bool)
     rules = [(rule(4), np.arange(len(f)))]
     points = Points(rules, len(f))
     reach = band.half[0] * band.spacing[0]
-    # Of a Gaussian OTF that has fallen to 1e-3 at the edge of the band.
+    # For a Gaussian OTF that has fallen to 1e-3 at the edge of the band.
     transfer = gaussian((sqrt(2 * log(1e3)) / reach,) * 3)
     spreading = choose_spreading(band.half, band.spacing, transfer, tolerance, points.count, single)
     work = count_work("particle-mesh", band, len(f), np.zeros(0), rules, spreading)
@@ -183,7 +184,7 @@ def _without_pixels(work: Work) -> Work:
 
 
 def _others() -> dict[str, tuple[Callable[[], object], float]]:
-    """What a fit does besides: functions to time, and how many units each works on."""
+    """What a fit does besides rendering: functions to time, and the units that each works on."""
     mesh = _ball(4)
     solve = _smoother(mesh)
     columns = np.ones((len(mesh.vertices), 3))
@@ -215,7 +216,7 @@ def _others() -> dict[str, tuple[Callable[[], object], float]]:
 
 
 def _smoother(mesh: Mesh) -> Callable[[np.ndarray], object]:
-    """A sparse factor as the preconditioner of a fit has it."""
+    """A solver from a sparse factorisation, as the preconditioner of a fit uses it."""
     edges = mesh.edges()
     n = len(mesh.vertices)
     half = sp.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))

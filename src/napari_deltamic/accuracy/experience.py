@@ -1,4 +1,4 @@
-"""What fits took on this machine, in parts of what was forecast: kept on disk, for the next one."""
+"""How long fits took on this machine relative to their forecast: kept on disk for the next one."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from ..common.cache_folder import cache_folder
 from ..common.writing import write_atomically
 from ..errors import InputError
 
-_NEWEST = 0.5  # weight of the speed of the last fit among those before it
-# The same of its iterations: of one kind they are off by up to 2.7 times, either way, from image to
-# image, so that one fit says less of the next than the forecast does (``benchmarks.eta``).
+_NEWEST = 0.5  # weight of the speed of the last fit against that of earlier ones
+# The same for its iterations. Within a kind they vary by up to 2.7 times, either way, from image to
+# image, so one fit says less about the next than the forecast does (``benchmarks.eta``).
 _OF_ITERATIONS = 0.25
 _ANY = "any"  # the kind under which the speed of all fits is kept
 
 
 @dataclass(frozen=True)
 class Experience:
-    """What a fit took, in parts of what was forecast.
+    """What a fit took, relative to its forecast.
 
     Attributes
     ----------
     seconds
-        Of an iteration.
+        Time of an iteration over the forecast one.
     iterations
-        Until it had converged.
+        Iterations until convergence over those forecast.
     single
-        Whether that is of one fit that has converged, rather than a mean over several images.
+        Whether this is from one converged fit, rather than a mean over several images.
     """
 
     seconds: float = 1.0
@@ -40,12 +40,12 @@ class Experience:
 
 
 class Learned:
-    """Means over earlier fits, by kind; the speed of a kind that is new is that of all.
+    """Means over earlier fits, by kind; a new kind starts with the mean speed of all fits.
 
     Parameters
     ----------
     folder
-        Where they are kept; by default that of the system for caches.
+        Where they are kept; by default the cache folder.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -54,11 +54,11 @@ class Learned:
         self._of_images: dict[tuple[tuple[Hashable, ...], str], Experience] = {}
 
     def about(self, kind: str, image: tuple[Hashable, ...] = ()) -> Experience:
-        """What is known of fits of a kind, above all of an image.
+        """What is known about fits of a kind, preferably of the same image.
 
-        image : which it is, and after that what is fitted of it: another region, or time, of it is
-            most like it. Measured on three regions of an image of nuclei: a fit took 55, 39 and 30
-            times what was forecast.
+        image : a key of the image, then keys of what is fitted of it: another region, or time, of
+            the same image is most similar. Measured on three regions of an image of nuclei: a fit
+            took 55, 39 and 30 times what was forecast.
         """
         for of in (image, image[:1]):
             same = self._of_images.get((of, kind))
@@ -71,9 +71,9 @@ class Learned:
         return Experience() if found is None else Experience(exp(found[0]), 1.0)
 
     def learn(self, kind: str, found: Experience, image: tuple[Hashable, ...] = ()) -> None:
-        """Take over what a fit took; kept for the next time, where that is possible.
+        """Learn from what a fit took, and write it to disk if possible.
 
-        image : whose fit it was; another one of it will most likely take as long.
+        image : keys of the image, as above; another fit of it will most likely take as long.
         """
         if image != ():
             self._of_images[image, kind] = self._of_images[image[:1], kind] = found
@@ -94,7 +94,7 @@ class Learned:
 
 
 def _read(path: Path) -> dict[str, tuple[float, float, float]]:
-    """What is in a file; nothing where there is none, or it is damaged."""
+    """The means in a file; {} where there is none, or it is damaged."""
     try:
         kept: Any = json.loads(path.read_text(encoding="utf-8"))
         found = {str(kind): (float(a), float(b), float(c)) for kind, (a, b, c) in kept.items()}

@@ -1,4 +1,4 @@
-"""How long a fit will take, before it runs and while it does."""
+"""How long a fit will take, before it starts and while it runs."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ class LevelForecast:
     Attributes
     ----------
     number
-        Counts from 1.
+        Its number, from 1.
     blur
-        Width of both images, in widths of the PSF.
+        Width to which both images are blurred, in widths of the PSF.
     shape
-        Of its grid, voxels.
+        Shape of its grid, voxels.
     method, accuracy
-        Of its images.
+        How its images are rendered.
     seconds_per_iteration, iterations, preparation
-        s, a number, s: the last is the time before the first iteration.
+        s; a number; s before the first iteration.
     """
 
     number: int
@@ -65,7 +65,7 @@ class LevelForecast:
 
     @property
     def seconds(self) -> float:
-        """Of the whole level."""
+        """Seconds that the whole level takes."""
         return self.preparation + self.iterations * self.seconds_per_iteration
 
 
@@ -76,13 +76,13 @@ class Forecast:
     Attributes
     ----------
     levels
-        Those that will be run.
+        The levels that will be run.
     measured
-        Whether the costs were measured on this machine, or are those of another one.
+        Whether the costs were measured on this machine, rather than on another one.
     kind
-        Of the fit: those of one kind need like numbers of iterations.
+        Kind of the fit: fits of one kind need similar numbers of iterations.
     learned
-        From earlier fits, which is in the levels already.
+        Experience from earlier fits, already included in the levels.
     """
 
     levels: tuple[LevelForecast, ...]
@@ -92,33 +92,33 @@ class Forecast:
 
     @property
     def seconds(self) -> float:
-        """Until the fit has converged."""
+        """Seconds until the fit has converged."""
         return sum(level.seconds for level in self.levels)
 
     @property
     def iterations(self) -> int:
-        """Until the fit has converged."""
+        """Iterations until the fit has converged."""
         return sum(level.iterations for level in self.levels)
 
     @property
     def seconds_per_iteration(self) -> float:
-        """Of the last level, where most of the time goes."""
+        """Seconds of an iteration at the last level, where most of the time goes."""
         return self.levels[-1].seconds_per_iteration
 
     def remaining_seconds(
         self, history: History, state: FitState, elapsed: float | None = None
     ) -> float | None:
-        """Seconds until the fit has converged; None where nothing is known, at first or any more.
+        """Seconds until the fit has converged; None while that is not known yet, or no longer.
 
         Parameters
         ----------
         history
-            The levels of all iterations so far.
+            History of the fit, of which the levels of all iterations so far are used.
         state
-            The latest one.
+            The latest state.
         elapsed
             s since the fit began. The forecast is scaled by how much longer than expected the
-            iterations so far have taken; without it, the forecast is taken as it is.
+            iterations so far have taken; without it, the forecast is used unscaled.
         """
         done = len(history.level)
         if state.converged:
@@ -145,14 +145,14 @@ class Forecast:
         return left * pace
 
     def experience(self, history: History, state: FitState, elapsed: float) -> Experience | None:
-        """What a fit of which this is the forecast teaches about the next; None if nothing.
+        """What the fit of this forecast teaches about the next; None if nothing.
 
         Parameters
         ----------
         history, state
-            As above, when it has ended.
+            As above, when the fit has ended.
         elapsed
-            s that it took.
+            s that the fit took.
         """
         spent = self._spent(history)
         if len(history.level) < FORECAST.teach or spent <= 0 or elapsed <= 0:
@@ -164,7 +164,7 @@ class Forecast:
         return Experience(_within(seconds), _within(iterations), single=state.converged)
 
     def after(self, earlier: Experience) -> Forecast:
-        """The same, corrected by how far off earlier ones were."""
+        """The forecast corrected by how far off earlier forecasts were."""
         more = earlier.iterations
         levels = [
             replace(
@@ -183,9 +183,9 @@ class Forecast:
         return sum(a.preparation + n * a.seconds_per_iteration for a, n in counts if n)
 
     def _done(self, history: History, present: int, *, ended: bool = False) -> tuple[int, int]:
-        """Iterations of the levels that are over, and how many had been expected of them.
+        """Iterations of the levels so far, and how many had been expected of them.
 
-        The present level counts as far as it has come, unless it has ended too.
+        The present level counts as far as it has come, unless it has ended, too.
         """
         done = wanted = 0
         for level in self.levels:
@@ -197,7 +197,7 @@ class Forecast:
         return done, wanted
 
     def _more(self, history: History, present: int) -> float:
-        """Iterations that the levels need, in parts of what was expected, by those so far."""
+        """Factor by which levels need more iterations than expected, judged by those so far."""
         done, wanted = self._done(history, present)
         if not done or not wanted:
             return 1.0
@@ -205,7 +205,7 @@ class Forecast:
 
 
 def _count(history: History, number: int) -> int:
-    """Iterations that a level has had."""
+    """Number of iterations that a level has had."""
     return sum(1 for one in history.level if one == number)
 
 
@@ -214,9 +214,9 @@ def _within(factor: float) -> float:
 
 
 def _still_to_come(here: int, expected: float) -> float:
-    """Iterations left at a level that has had ``here`` of ``expected``; never quite none.
+    """Iterations left at a level that has had ``here`` of ``expected``; never zero.
 
-    One that goes on beyond what was expected is taken to need a window or a tenth more.
+    A level that goes on beyond what was expected is taken to need a window or a tenth more.
     """
     return float(max(expected - here, FORECAST.window, FORECAST.more * here))
 
@@ -237,13 +237,13 @@ def forecast(
     Parameters
     ----------
     image, grid, mesh, optics, settings, counted, effects
-        As :func:`napari_deltamic.fit` takes them. The image is looked at only where the settings
-        leave the accuracy to its noise.
+        As :func:`napari_deltamic.fit` takes them. The image is used only if the settings leave the
+        accuracy to its noise.
     costs
-        Of this machine; by default those kept from an earlier measurement, if any
+        Costs of this machine; by default those kept from an earlier measurement, if any
         (``machine_costs.costs(measure=True)`` measures them, in about a second).
     touching
-        Whether cells touch, where the mesh only is about as large as they are; None: see the mesh.
+        Whether cells touch, if the mesh is only about as large as they are; None: as in the mesh.
 
     Raises
     ------
@@ -299,7 +299,7 @@ def forecast(
 
 
 def _cut(levels: Sequence[LevelForecast], most: int) -> list[LevelForecast]:
-    """The levels that fit into so many iterations."""
+    """The levels, cut short to take ``most`` iterations in all."""
     found = []
     for level in levels:
         if most <= 0:

@@ -1,4 +1,4 @@
-"""What an iteration of a fit takes, and how many a level needs: the numbers of a forecast."""
+"""What an iteration of a fit costs, and how many a level needs: the numbers behind a forecast."""
 
 from __future__ import annotations
 
@@ -20,64 +20,66 @@ from ..scene import Grid
 
 @dataclass(frozen=True)
 class ForecastRules:
-    """What a forecast supposes of a fit, from measured ones.
+    """What a forecast assumes about a fit, from measured fits.
 
     Attributes
     ----------
     first, coarse, last
-        Iterations of the first level, of those between, and of the last one, from far away. Of all
-        five levels, 66 to 184 in 18 scenes of ``benchmarks.defaults`` (f7b2103), 106 in the median.
+        Iterations of the first, the middle and the last levels, for seeds far away. Measured for
+        all five levels: 66 to 184 in 18 scenes of ``benchmarks.defaults`` (f7b2103), median 106.
     near_blur, near_coarse, near_last
-        Where seeds lie near the membranes, which is where the first blur is less than the first of
-        these. Measured with foams of 4 to 16 cells, levels 2 to 1: 32, 27 to 32, 15 to 50.
+        The same where seeds lie near the membranes, that is, where the first blur is less than
+        ``near_blur``. Measured with foams of 4 to 16 cells, levels 2 to 1: 32, 27 to 32, 15 to 50.
     alone
-        Of a level alone. Measured on 21 scenes without cells that touch (as above): 23 to 85, 50 in
-        the median; vesicles and single cells of the samples take 11 to 18.
+        Iterations of the only level. Measured on 21 scenes without cells that touch (as above): 23
+        to 85, median 50; vesicles and single cells of the samples take 11 to 18.
     neighbours
-        Where cells touch, other neighbours are tried at the end: so many iterations more times how
-        much more than 1 the cube root of the number of cells is. Measured: 35 to 199 in 11 scenes
-        (as above), most where most cells touch; foams of 5, 8 and 12 cells took 47, 30 and 52.
+        Where cells touch, other neighbours are tried at the end: this many further iterations,
+        times the cube root of the number of cells minus 1. Measured: 35 to 199 in 11 scenes (as
+        above), most where most cells touch; foams of 5, 8 and 12 cells took 47, 30 and 52.
     freer
-        Times the last level where density or PSF are fitted as well. Measured on a ball: 15
+        Factor on the last level where density or PSF are fitted as well. Measured on a ball: 15
         iterations with the PSF, 13 without.
     solves, apart
-        What an iteration does besides the rendering, in solves of the preconditioner, which is
-        measured alone: two of them and the steps between; keeping surfaces from crossing.
+        Work of an iteration besides rendering, in solves of the preconditioner, which are measured
+        alone: two solves and the steps between them; keeping surfaces from crossing.
     overhead
-        Calls of an iteration: they take the same time however small the scene, so that tiny fits
+        Fixed cost of an iteration, in calls: the same however small the scene, so that tiny fits
         are not forecast as free.
     smooth
-        Times all of this where the brightness is smooth. Measured: 1.2 to 1.3 in a foam of 8.
+        Factor on all of this where the brightness is smooth. Measured: 1.2 to 1.3 in a foam of 8.
     posing, posing_first, posing_alone
-        Times all of that: every few iterations the objective is posed anew, and other models, and
-        which cells touch, are tried. Measured beside the forecast without it, as above: a level
-        alone 1.7 to 13, 3.4 in the median; all levels together 2.2 times as long as with 1.7 for
-        the first and 1.35 for others, which samples had taken before models were compared.
+        Factor on all of that, as every few iterations the objective is posed anew, and other models
+        and contacts of cells are tried. Measured against the forecast without it, as above: a
+        single level 1.7 to 13, median 3.4; all levels together 2.2 times as long as with 1.7 for
+        the first and 1.35 for others, which samples took before models were compared.
     begun, begun_last
-        Iterations, without their posing, that the first objective of a level takes: 4 to 15 in
-        these, at the last level 9 to 30.
+        Time that the first objective of a level takes, in iterations without posing: measured in
+        these scenes 4 to 15, at the last level 9 to 30.
     factoring
-        Solves that the factors of the preconditioner's matrix take. Measured: 171, 147 and 29 for
-        642, 2562 and 10242 vertices.
+        Time to factorise the preconditioner's matrix, in solves. Measured: 171, 147 and 29 for 642,
+        2562 and 10242 vertices.
     looks
         Iterations after which all voxels are looked at; chosen by eye.
     psf_every
-        Where the PSF is fitted, an iteration of so many adds four images for it. Measured on a ball
-        in 40 x 56 x 56 voxels: 1.3 to 2.8 ms, where 1.9 were forecast.
+        Where the PSF is fitted, one iteration in this many adds four images for it. Measured on a
+        ball in 40 x 56 x 56 voxels: 1.3 to 2.8 ms, where 1.9 were forecast.
     window, more
-        Iterations that a level which goes on beyond what was expected still needs, or this share of
-        those that it has had: the end would always be near otherwise.
+        Iterations still needed by a level that goes on beyond what was expected, or this share of
+        those it has had: otherwise the end would always seem near.
     unknown
-        Times what was expected of the last level after which nothing is known of its end. Simulated
-        images need up to 2.7 times (``benchmarks.eta``); three regions of nuclei 13 to 16 times.
+        Multiple of the iterations expected at the last level beyond which its end is unknown.
+        Simulated images need up to 2.7 times (``benchmarks.eta``); three regions of nuclei 13 to 16
+        times.
     trusted
         Iterations after which the pace of a fit counts as much as its forecast, since the first
         ones say little.
     teach
-        Iterations without which a fit teaches nothing: the first ones make what others find made.
+        Fewest iterations from which a fit teaches anything: the first ones prepare what later ones
+        reuse.
     farthest
-        Factor by which a forecast can be off: what is more was something else, because a machine
-        slept or another program had it.
+        Largest factor by which a forecast can be off: more would have another cause, such as a
+        machine that slept or another program.
     """
 
     first: int = 20
@@ -115,7 +117,7 @@ FORECAST = ForecastRules()
 def iterations_of(
     settings: FitSettings, factors: Sequence[float], number: int, first: bool, tried: int
 ) -> int:
-    """Expected of a level; tried : cells whose neighbours are, 0 where none are."""
+    """Iterations expected of a level; tried : cells whose neighbours will be tried, 0 if none."""
     near = factors[0] < FORECAST.near_blur
     if number < len(factors):
         return FORECAST.near_coarse if near else FORECAST.first if first else FORECAST.coarse
@@ -126,7 +128,7 @@ def iterations_of(
 
 
 def posing_of(number: int, levels: int) -> float:
-    """Times what an iteration of a level takes, for what is looked at every few of them."""
+    """Factor on the time of an iteration, for what is done only every few iterations."""
     if levels == 1:
         return FORECAST.posing_alone
     return FORECAST.posing_first if number == 1 else FORECAST.posing
@@ -141,7 +143,7 @@ def iteration_seconds(
     settings: FitSettings,
     factor: float,
 ) -> float:
-    """Seconds of one iteration; :func:`posing_of` times that, with what is done every few."""
+    """Seconds of one iteration, not counting what :func:`posing_of` adds as a factor."""
     vertices, voxels = len(mesh.vertices), prod(shape.grid.shape)
     call = costs.rates(plan.single, True).call
     seconds = costs.seconds(plan.work, plan.single) + FORECAST.overhead * call
@@ -170,16 +172,16 @@ def preparation_seconds(costs: Costs, shape: LevelShape, grid: Grid, mesh: Mesh)
 
 
 def seen_voxels(shape: LevelShape, grid: Grid) -> float:
-    """Voxels of a level whose blur rests mostly on the image: not those at its rim."""
+    """Number of voxels of a level whose blur lies mostly in the image, so not those at its rim."""
     n = np.array(grid.shape) - 0.5 * np.divide(shape.blur, grid.voxel_size)
     return float(np.prod(np.maximum(n, 0) / shape.step))
 
 
 def near_voxels(grid: Grid, optics: Optics, reach: float, factor: float, mesh: Mesh) -> float:
-    """Voxels of a grid within reach of a surface, about."""
+    """Approximate number of voxels of a grid within reach of a surface."""
     sigma = factor * np.asarray(optics.sigma_um)
     along = np.sqrt(((mesh.normals() * sigma) ** 2).sum(1)).clip(1e-12)
-    # Where the image of a flat piece falls to what level.py asks for.
+    # Distance at which the image of a flat piece falls to what level.py asks for.
     distance = along * np.sqrt(reach**2 + 2 * np.log(sigma.max() / along))
     shell = 2 * float(mesh.areas() @ distance)
     around = float(np.prod(np.ptp(mesh.bounds(), axis=0) + 2 * reach * sigma))

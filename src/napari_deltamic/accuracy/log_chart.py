@@ -17,14 +17,14 @@ if TYPE_CHECKING:  # matplotlib takes half a second to load: only where somethin
 
 Marker = Literal["circle", "square", "triangle", "diamond"]
 _MARKERS = {"circle": "o", "square": "s", "triangle": "^", "diamond": "D"}
-# Okabe and Ito's: told apart also by the colour-blind, and by the markers in print.
+# Okabe and Ito's colours, which the colour-blind can tell apart; in print the markers differ.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#787878", "#e69f00")
 _INCHES, _DPI = (10.0, 6.2), 100
 _FINE_TICKS = 2.2  # decades: with fewer, powers of ten alone would leave an axis nearly bare
 
 
 def _power(value: float) -> str:
-    """Plain where that is as short."""
+    """A value as text: plain where that is short, else in scientific notation."""
     return f"{value:g}" if 0.01 <= value < 1e4 else scientific(value, 1)
 
 
@@ -35,15 +35,15 @@ class Series:
     Attributes
     ----------
     name
-        For the legend; empty: none.
+        Name in the legend; "" for none.
     x, y
-        All positive.
+        Coordinates, all positive.
     colour
-        Number in ``PALETTE``.
+        Index into ``PALETTE``.
     line
         Whether the points are joined.
     spread
-        Lowest and highest y of each point: a bar.
+        Lowest and highest y of each point, drawn as a bar.
     """
 
     name: str

@@ -1,6 +1,6 @@
-"""What computing costs on this machine: measured once in less than a second, and kept on disk.
+"""What computing costs on this machine: measured once in about a second, and kept on disk.
 
-Nothing but a forecast depends on it: what a rendering does is chosen with built-in costs.
+Only forecasts depend on it: how an image is rendered is chosen with built-in costs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..fourier.cost import BUILT_IN, Costs, Rates, Work, built_in
 from ..fourier.native import native, simd_level, threads
 from .calibration import calibrate
 
-_FORMAT = 2  # of the file; a change of what is measured raises it
+_FORMAT = 2  # of the file; raised when what is measured changes
 
 _known: dict[tuple[str, int], Costs] = {}  # in this process, by file and threads
 
@@ -32,10 +32,10 @@ def costs(measure: bool = False, again: bool = False) -> Costs:
     ----------
     measure
         Whether to measure (:func:`calibrate`) where nothing is kept, or what is kept belongs to
-        another machine or version; otherwise ``BUILT_IN`` is taken. Rendering and fitting never
-        measure: they take the same time and the same choices whether or not it was done.
+        another machine or version; otherwise ``BUILT_IN`` is used. Rendering and fitting never
+        measure: they take the same time and make the same choices whether or not it was done.
     again
-        Whether to measure although something is kept, which may be from a busy moment.
+        Whether to measure even if something is kept, which may be from a busy moment.
     """
     path = costs_file()
     key = (str(path), threads())
@@ -50,18 +50,18 @@ def costs(measure: bool = False, again: bool = False) -> Costs:
 
 
 def costs_file() -> Path:
-    """Where the costs are kept."""
+    """The file in which the costs are kept, one for each number of threads."""
     return cache_folder() / f"costs-{threads()}.json"
 
 
 def expected_seconds(work: Work, single: bool, device: str = "cpu") -> float:
-    """Of one rendering with its gradient, at the costs of this machine where they are known."""
+    """Seconds of one rendering with its gradient, at this machine's costs where they are known."""
     known = costs() if device == "cpu" else built_in(device)
     return known.seconds(work, single)
 
 
 def _whose() -> dict[str, Any]:
-    """What costs depend on: they are stale where one of these has changed."""
+    """What costs depend on: they are stale if any of these has changed."""
     from ..common.version import __version__  # only here, as it takes longer than the rest
 
     try:
@@ -80,7 +80,7 @@ def _whose() -> dict[str, Any]:
 
 @cache
 def processor() -> str:
-    """Name of the processor, as well as the system tells it."""
+    """Name of the processor, as far as the system gives it."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
@@ -91,7 +91,7 @@ def processor() -> str:
 
 
 def _read(path: Path) -> Costs | None:
-    """The costs in a file; None where there are none, or of another machine, or damaged ones."""
+    """The costs in a file; None if it is missing, damaged, or from another machine or version."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
         if kept["of"] != _whose():
@@ -102,7 +102,7 @@ def _read(path: Path) -> Costs | None:
 
 
 def _from_plain(plain: dict[str, Any]) -> Costs:
-    """Raises ValueError, TypeError or KeyError where these are no costs."""
+    """Costs from plain values; ValueError, TypeError or KeyError if these are not costs."""
     values: dict[str, Any] = {}
     for f in fields(Costs):
         value = plain[f.name]
@@ -121,7 +121,7 @@ def _cost(value: Any) -> float:
 
 
 def _write(path: Path, found: Costs) -> None:
-    """Keep for the next time; a folder that cannot be written to is no reason to fail."""
+    """Keep the costs for the next time; a folder that cannot be written to is not an error."""
     text = json.dumps({"of": _whose(), "costs": asdict(found)}, indent=1) + "\n"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

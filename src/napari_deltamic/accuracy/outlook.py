@@ -1,4 +1,4 @@
-"""What a fit that could be started would cost: its forecast."""
+"""The forecast of a fit that could be started now."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ Forecaster = Forecast | RenewedForecast  # says how long a fit will still take
 class SceneNow:
     """A fit that could be started.
 
-    choice : of the accuracy, as on the dial.
-    image : (Z, Y, X), or what becomes such an array.
+    choice : choice of accuracy, as on the dial.
+    image : (Z, Y, X), or something that converts to such an array.
     scene : PSF and effects.
-    settings : of the fit; the accuracy is that of the choice.
-    known : surfaces that points of the seeds have already; None where that is not known.
+    settings : settings of the fit; their accuracy is replaced by that of the choice.
+    known : surfaces already found for the points of the seeds; None if there are none yet.
     """
 
     choice: str
@@ -47,20 +47,20 @@ class SceneNow:
 
     @property
     def optics(self) -> Optics:
-        """The PSF, computed when asked. InputError where it cannot be."""
+        """The PSF, computed when asked for. InputError if it is not possible."""
         return optics_of(self.scene)
 
     def pixels(self) -> NDArray[Any]:
         return np.asarray(self.image)
 
     def mesh(self) -> Mesh:
-        """The surfaces, or some about as large. InputError where there are none."""
+        """The starting surfaces, or some about as large. InputError if there are none."""
         return rough_surfaces(self.seeds, self.grid, self.known).mesh
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a scene costs: noise of its image, accuracy that the choice stands for, forecast."""
+    """What a fit costs: noise of its image, accuracy that the choice stands for, forecast."""
 
     noise: float
     accuracy: float
@@ -68,7 +68,7 @@ class Outlook:
 
 
 def outlook(scene: SceneNow) -> Outlook:
-    """The forecast of a scene; measures this machine where that was never done (a second)."""
+    """The outlook of a fit; first measures this machine if that was never done (a second)."""
     known = costs(measure=True)
     pixels = scene.pixels()
     noise = image_noise(pixels)
@@ -86,7 +86,7 @@ def outlook(scene: SceneNow) -> Outlook:
 
 
 def expected(job: FitInput) -> Forecaster | None:
-    """What forecasts how long a fit will take; None where the fit will say what is wrong."""
+    """The forecast of a fit; None for invalid input, on which the fit itself will report."""
     settings = job.settings
     try:
         return forecast(

@@ -11,14 +11,14 @@ from .forecast import Forecast
 
 @dataclass(frozen=True)
 class RenewedForecast:
-    """The forecast of a fit whose settings were changed on the way: it knows no time before.
+    """The forecast of a fit whose settings were changed on the way; it ignores the time before.
 
     Attributes
     ----------
     forecast
-        Of a whole fit with the new settings.
+        Forecast of a whole fit with the new settings.
     iterations, seconds
-        That the fit had taken when they were changed; s without pauses.
+        Iterations and time (s, without pauses) that the fit had taken when they were changed.
     """
 
     forecast: Forecast
@@ -28,11 +28,11 @@ class RenewedForecast:
     def remaining_seconds(
         self, history: History, state: FitState, elapsed: float | None = None
     ) -> float | None:
-        """s until the fit has converged; None while nothing is known."""
+        """Seconds until the fit has converged; None while that is not known."""
         left = self.forecast.remaining_seconds(history, state)
         if left is None or elapsed is None:
             return left
-        # Only the iterations since the change tell how far the new forecast is off.
+        # Only the iterations since the change tell how far off the new forecast is.
         since = History(level=history.level[self.iterations :])
         plain = self.forecast.remaining_seconds(since, state)
         scaled = self.forecast.remaining_seconds(since, state, elapsed - self.seconds)

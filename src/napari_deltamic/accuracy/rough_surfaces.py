@@ -1,4 +1,4 @@
-"""Surfaces about as large as those that seeds would give, at once: enough for a forecast."""
+"""Surfaces about as large as those that seeds would give, made at once: enough for a forecast."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from ..scene import Grid
 
 @dataclass(frozen=True, eq=False)
 class RoughSurfaces:
-    """What a forecast is of.
+    """Surfaces for a forecast.
 
-    touching : whether cells touch, where only labels tell; None where the surfaces do.
+    touching : whether cells touch, if labels tell; None if it is to be seen from the surfaces.
     """
 
     mesh: Mesh
@@ -30,9 +30,9 @@ class RoughSurfaces:
 
 
 def rough_surfaces(seeds: Seeds, grid: Grid, known: Mesh | None = None) -> RoughSurfaces:
-    """Surfaces of any seeds; InputError where there are none.
+    """Rough surfaces for any seeds; InputError if there are none.
 
-    known : the surfaces that the image gives for the points, where that was found already.
+    known : the surfaces that the image gives for the points, if already found.
     """
     parts = seeds.parts if isinstance(seeds, MixedSeeds) else (seeds,)
     meshes, labels = [], []
@@ -54,14 +54,14 @@ def rough_surfaces(seeds: Seeds, grid: Grid, known: Mesh | None = None) -> Rough
 
 
 def points_of(seeds: Seeds) -> int:
-    """How many points of seeds become the surfaces that the image gives."""
+    """How many points of the seeds have no radius, so that the image gives their surfaces."""
     parts = seeds.parts if isinstance(seeds, MixedSeeds) else (seeds,)
     points = [part for part in parts if isinstance(part, PointSeeds) and part.kind == "image"]
     return sum(len(part.points) for part in points)
 
 
 def _balls(centres: FloatArray, radii: FloatArray | None, grid: Grid) -> Mesh:
-    """Spheres around points, as large as their distances and the image let them be."""
+    """Spheres around points, with the given radii, else as large as their distances allow."""
     edge = EDGE_IN_VOXELS * min(grid.voxel_size)
     if radii is None or not np.all(np.nan_to_num(radii) > 0):
         apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
@@ -76,7 +76,7 @@ def _balls(centres: FloatArray, radii: FloatArray | None, grid: Grid) -> Mesh:
 
 
 def _balls_of_labels(labels: NDArray[Any], grid: Grid) -> list[Mesh]:
-    """A sphere as large as each label; where they lie makes no difference to what they cost."""
+    """A sphere as large as each label; all in one place, which makes no difference to the cost."""
     numbers, volumes = np.unique(labels[labels > 0], return_counts=True)
     if not len(numbers):
         return []

@@ -1,4 +1,4 @@
-"""What the dial gives in shape: surfaces fitted at several of its choices, against a known one."""
+"""How exact the dial's choices are: surfaces fitted at several of them, against a known one."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from ..scene import Grid, render
 from .tradeoff import check_visible
 
 CHOICES = SHAPE_CHOICES
-DRAWS = 3  # of noise: few, since each is a fit, but two would have hardly a spread
+DRAWS = 3  # of noise: few, since each is a fit, but two would hardly show a spread
 DARK = 0.1  # background of a simulated image, relative to its peak; chosen by eye
-ENOUGH = 1.05  # times the least error: see :func:`enough` for what would add as much
-_SAMPLES = 6000  # points by which surfaces are compared: a mean of so many is exact to about 1 %
+ENOUGH = 1.05  # times the least error: :func:`enough` explains what that means
+_SAMPLES = 6000  # points at which surfaces are compared: their mean is exact to about 1 %
 _FEWEST, _MOST = 0.1, 1e6  # photons at the peak: no camera has less or could hold more
 _EXACT = 1e-6  # accuracy of a simulated image, so that only noise makes an error
-_BRIGHTEST = 99.9  # percentile that is the peak: a single voxel would depend on where it lies
-_SHRUNK = 0.1  # of its size, by which a start is smaller; chosen by eye
+_BRIGHTEST = 99.9  # percentile taken as the peak: a single voxel would depend on where it lies
+_SHRUNK = 0.1  # share of its size by which a start is smaller; chosen by eye
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class ShapeError:
     choice
         quick, normal, careful, or a length such as 20nm.
     dialled
-        What it stands for, and what is predicted of it.
+        What the choice stands for, and its predicted error.
     errors
-        um, one for each noise draw: mean distance of the fitted surface to the true one.
+        Mean distance of the fitted surface to the true one, um, for each noise draw.
     iterations, seconds
-        Of one fit, means over the draws.
+        Iterations and time of one fit, means over the draws.
     """
 
     choice: str
@@ -57,19 +57,20 @@ class ShapeError:
 
     @property
     def mean(self) -> float:
-        """um."""
+        """Mean error over the draws, um."""
         return mean(self.errors)
 
     @property
     def spread(self) -> float:
-        """um: standard deviation over the draws; 0 for a single one."""
+        """Standard deviation of the error over the draws, um; 0 for a single draw."""
         return stdev(self.errors) if len(self.errors) > 1 else 0.0
 
 
 def simulated(truth: Mesh, grid: Grid, optics: Optics, photons: float, seed: int) -> np.ndarray:
-    """(Z, Y, X) float32: an image of the surface with so many photons at its peak.
+    """An image, (Z, Y, X) float32, of the surface with so many photons at its peak.
 
-    On a background of a tenth of the peak, with the noise of counted photons; none at infinity.
+    It has a background of a tenth of the peak and Poisson noise; with infinitely many photons it
+    has no noise, and a peak of 1.
     """
     expected = _expected(truth, grid, optics)
     if not np.isfinite(photons):
@@ -78,7 +79,7 @@ def simulated(truth: Mesh, grid: Grid, optics: Optics, photons: float, seed: int
 
 
 def photons_for(noise: float, truth: Mesh, grid: Grid, optics: Optics) -> float:
-    """Photons at the peak that give a simulated image this noise ratio; infinity for none."""
+    """Photons at the peak that give a simulated image this noise ratio; infinity for no noise."""
     if noise <= 0:
         return float("inf")
     expected = _expected(truth, grid, optics)
@@ -87,7 +88,7 @@ def photons_for(noise: float, truth: Mesh, grid: Grid, optics: Optics) -> float:
         image = np.random.default_rng(0).poisson(photons * expected)
         return image_noise(image) > noise
 
-    # From many photons down: of very few the noise ratio is that of single counts, and falls again.
+    # From many photons down: with very few, single counts dominate and the noise ratio falls again.
     high = _MOST
     while high > _FEWEST and not noisier(high / 2):
         high /= 2
@@ -112,18 +113,18 @@ def shape_errors(
 ) -> Iterator[ShapeError]:
     """Fit simulated images of a surface at several choices of the dial.
 
-    Every choice meets the same noise draws.
+    Every choice gets the same noise draws.
 
     Parameters
     ----------
     truth
         The surface that the images show.
     photons
-        At the peak of an image.
+        Photons at the peak of an image.
     start
-        Where the fits start; by default the truth, each piece of it shrunk by a tenth.
+        Where the fits start; by default the truth, with each piece shrunk by a tenth.
     settings
-        Of the fits; by default those for seeds near the membranes.
+        Settings of the fits; by default those for seeds near the membranes.
     progress
         Called with how many fits are done, and how many there are.
     """
@@ -156,10 +157,10 @@ def shape_errors(
 
 
 def enough(found: Sequence[ShapeError]) -> str:
-    """The quickest choice whose shape is as good as the best, to a twentieth.
+    """The fastest choice whose error exceeds the least one by no more than a twentieth.
 
-    Two independent errors add in squares, so a choice that adds a twentieth has a third of the
-    effect of everything else.
+    Independent errors add in squares, so a choice that adds a twentieth contributes an error of a
+    third of everything else.
     """
     if not found:
         raise InputError("no choice of the dial was measured")
@@ -169,7 +170,7 @@ def enough(found: Sequence[ShapeError]) -> str:
 
 
 def shrunk(mesh: Mesh) -> Mesh:
-    """Each connected piece smaller by a tenth, about its middle."""
+    """The mesh with each connected piece shrunk by a tenth about its middle."""
     v, piece = mesh.vertices_numpy().copy(), pieces(mesh)
     for k in range(int(piece.max()) + 1):
         own = piece == k
@@ -179,7 +180,7 @@ def shrunk(mesh: Mesh) -> Mesh:
 
 
 def _expected(truth: Mesh, grid: Grid, optics: Optics) -> np.ndarray:
-    """Background and signal, whose peak is 1."""
+    """The noise-free image: background and a signal whose peak is 1."""
     clean = render(truth, grid, optics, _EXACT).numpy().astype(np.float64).clip(0)
     check_visible(float(clean.sum()), truth)
     peak = float(np.percentile(clean, _BRIGHTEST)) or float(clean.max())

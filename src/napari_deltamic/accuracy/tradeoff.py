@@ -1,4 +1,4 @@
-"""What accuracy costs in time: every way to render a scene, timed, beside the exact one."""
+"""What accuracy costs in time: every way to render a scene, timed and compared with the exact."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from ..scene.grid import Grid
 from ..scene.memory import Peak
 from .machine_costs import costs as known_costs
 
-# What is compared: |OTF| at the edge of a band, and accuracies asked of the planner, so that a
-# chart covers all that anybody would take.
+# What is compared: |OTF| at the edge of a band, and accuracies asked of the planner; together they
+# cover all that anybody would use.
 THRESHOLDS = (1e-1, 1e-2, 1e-3, 1e-4)
 PLANNED = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4, 1e-5, 1e-6)
-_RULE_THRESHOLD = 1e-4  # of the band that rules are compared on: its own error is hardly seen
-_FINEST = 1e-9  # accuracy of the reference where the exact one takes too long
+_RULE_THRESHOLD = 1e-4  # of the band on which rules are compared: its own error is hardly seen
+_FINEST = 1e-9  # accuracy of the reference if the exact one takes too long
 _VISIBLE = 1e-4  # of a mesh's area: an image that shows less shows only the rim of its PSF
-_REPEATS, _ENOUGH = 3, 1.0  # of a timing; s after which one is enough
+_REPEATS, _ENOUGH = 3, 1.0  # runs of a timing; s above which one run is enough
 
 Device = Literal["cpu", "cuda"]
 
 
 @dataclass(frozen=True)
 class Way:
-    """One way to render a scene, and what it was measured to cost.
+    """One way to render a scene, and its measured cost.
 
     Attributes
     ----------
@@ -52,22 +52,22 @@ class Way:
     band
         The edge of the band as |OTF|; 0 is the full grid.
     rule
-        What stands in for a face: a degree, a mix of them, or nothing for the closed form.
+        Degree of the quadrature rule on a face, or several; "" for the closed form.
     accuracy
-        What was asked of the planner; None for a way that was put together by hand.
+        The accuracy asked of the planner; None for a way put together by hand.
     expected
-        s, from the cost model, with the gradient.
+        Time with the gradient by the cost model, s.
     forward, gradient
-        s, medians: the image, and the image with its gradient; None where not measured.
+        Median time of the image, and of the image with its gradient, s; None if not measured.
     memory
-        bytes that the process took at its peak beyond what it held before; None where the system
-        does not tell.
+        Peak memory of the process beyond what it held before, bytes; None where the system does not
+        tell it.
     error, gradient_error
-        Relative L2 error of the image, and of the vertices' gradient against white noise, relative
-        to the reference; None where not measured.
+        L2 error, relative to the reference, of the image, and of the gradient by the vertices with
+        white noise as incoming gradient; None if not measured.
     in_use, on_front, reference
-        Whether it is the one that the scene would be rendered with; whether none measured is both
-        faster and more accurate; whether the others were compared with it.
+        Whether the scene would be rendered this way; whether no measured way is both faster and
+        more accurate; whether the others were compared with it.
     note
         Why it was not measured.
     """
@@ -91,7 +91,7 @@ class Way:
 
     @property
     def measured(self) -> bool:
-        """Whether there is a time and an error."""
+        """Whether it has both a time and an error."""
         return self.gradient is not None and self.error is not None
 
     @property
@@ -125,19 +125,19 @@ def measure_ways(
     mesh, grid, optics
         The scene.
     accuracy_in_use
-        What it is rendered with; that way is marked.
+        The accuracy with which it is rendered; that way is marked.
     budget
-        s: a way that would take longer with its gradient is listed, with what it would take, but
-        not measured.
+        A way that would take longer than this with its gradient, s, is listed with its expected
+        time but not measured.
     costs
-        Of this machine; by default those kept, or the built-in ones.
+        Costs of this machine; by default those kept, or the built-in ones.
     progress
         Called with how many ways are done, and how many there are.
 
     Raises
     ------
     InputError
-        If the accuracy is not in [0, 1), or the mesh in other units than the grid.
+        If the accuracy is not in [0, 1), or the mesh not in the units of the grid.
     """
     check_accuracy(accuracy_in_use)
     costs = costs or known_costs()
@@ -149,7 +149,7 @@ def measure_ways(
         candidates = [reference, *candidates]
     else:
         reference = exact
-    # What the gradient is taken of: the same noise for all.
+    # The incoming gradient: the same noise for all ways.
     generator = torch.Generator().manual_seed(0)
     incoming = torch.randn(grid.shape, generator=generator, dtype=torch.float64)
     known: tuple[Tensor, Tensor] | None = None
@@ -181,9 +181,9 @@ def measure_ways(
 
 
 def with_front(ways: Iterable[Way]) -> list[Way]:
-    """The ways with those marked that none beats in both time (with gradient) and error.
+    """The ways, with those marked that no other beats in both time (with gradient) and error.
 
-    The reference is not among them: it has no error to compare.
+    The reference is never marked: it has no error to compare.
     """
     ways = list(ways)
     points = [(w.gradient, w.error) if w.measured and not w.reference else None for w in ways]
@@ -205,7 +205,7 @@ def with_front(ways: Iterable[Way]) -> list[Way]:
 def _planned(
     scene: Scene, grid: Grid, accuracy: float, costs: Costs, method: Method | None = None
 ) -> _Candidate:
-    """What the planner makes of an accuracy."""
+    """The way that the planner chooses for an accuracy."""
     renderer = Renderer(scene, grid, accuracy, method=method)
     degrees = sorted({r.degree for r, _ in renderer.plan.rules})
     named = f"degree {'/'.join(map(str, degrees))}" if degrees else ""
@@ -259,7 +259,7 @@ def _candidate(
 def _candidates(
     scene: Scene, mesh: Mesh, grid: Grid, accuracy_in_use: float, costs: Costs
 ) -> list[_Candidate]:
-    """All ways: the exact one first."""
+    """All ways, the exact one first."""
     by_hand = partial(_by_hand, scene, mesh, grid, costs=costs)
     found = [
         by_hand(threshold, None, single)
@@ -288,7 +288,7 @@ def _measured(
         return renderer.image(renderer.transform(v), renderer.otf(renderer.scene.optics))
 
     forwards, boths = [], []
-    with Peak() as peak:  # of the first run, which makes what others find made
+    with Peak() as peak:  # of the first run, which prepares what later ones reuse
         image, gradient, *first = _timed(forward, v, incoming)
     slow = first[1] > _ENOUGH
     for _ in range(0 if slow else _REPEATS):
@@ -319,7 +319,7 @@ def _relative(found: Tensor, exact: Tensor) -> float:
 
 
 def check_visible(total: float, mesh: Mesh) -> None:
-    """InputError unless an image with this sum shows some of the mesh: all of it is its area."""
+    """Raise InputError unless the sum of an image is a visible share of the mesh's area."""
     if not total > _VISIBLE * float(mesh.areas() @ mesh.membranes()):
         raise InputError("the image of the mesh is empty: does it lie inside the grid?")
 

@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports bad usage as any other bad input: in one line, without the usage."""
+    """A parser that reports bad usage like other bad input: in one line, without usage text."""
 
     def error(self, message: str) -> NoReturn:
         raise InputError(message)
@@ -31,7 +31,7 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line (of this process by default); returns the exit code."""
-    with suppress(AttributeError):  # a table with a sign that stdout has not is still a table
+    with suppress(AttributeError):  # a table is worth printing without signs that stdout lacks
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         arguments = build_parser().parse_args(argv)
@@ -89,7 +89,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 @contextmanager
 def _logging(verbose: bool) -> Iterator[None]:
-    """The log goes to stderr, or nowhere: libraries log what does not matter to a run."""
+    """Send the log to stderr, or nowhere: libraries log what does not matter to a run."""
     root = logging.getLogger()
     handler = logging.StreamHandler() if verbose else logging.NullHandler()
     level = root.level

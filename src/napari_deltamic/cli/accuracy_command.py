@@ -68,7 +68,7 @@ class _Scene:
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
-    """Measure, print the table, and write what was asked for."""
+    """Measure, print the tables, and write the files if a folder is given."""
     folder = Path(arguments.output) if arguments.output else None
     scene = _read(arguments, notes)
     if folder is not None:
@@ -116,7 +116,7 @@ def _from_mesh(arguments: argparse.Namespace) -> _Scene:
 
 
 class _Blank(argparse.Namespace):
-    """Arguments of `fit`, of which most are not given."""
+    """Arguments of `fit`; those not given are None."""
 
     def __getattr__(self, name: str) -> None:
         return None
@@ -138,7 +138,7 @@ def _from_image(arguments: argparse.Namespace, notes: Notes) -> _Scene:
 
 @contextmanager
 def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on stderr, without the thread that watches over progress bars."""
+    """A progress bar on stderr, without tqdm's monitoring thread."""
     tqdm.monitor_interval = 0
     with tqdm(desc=what, file=sys.stderr, leave=False, disable=None) as bar:
 
@@ -158,7 +158,7 @@ def _ways(scene: _Scene, budget: float) -> list[Way]:
 
 
 def _shapes(scene: _Scene, arguments: argparse.Namespace) -> list[ShapeError]:
-    """Surface errors: of the mesh at so many photons, or of the fitted one at the image's noise."""
+    """Surface errors: of the mesh at the given photons, or of the fit at the image's noise."""
     truth, optics = scene.mesh, scene.optics
     photons = arguments.photons
     if scene.job is not None:

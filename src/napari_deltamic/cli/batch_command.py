@@ -22,7 +22,7 @@ _WANTED = "batch.json"  # in a job's folder: what was asked for
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
-    """Fit what is not done yet; prints the paths of the tables."""
+    """Fit what is not done yet, and print the paths of the tables."""
     folder = Path(arguments.output).absolute()
     jobs = batch_jobs(arguments.source, arguments.seeds, fit_words(arguments))
     _check_options(jobs)
@@ -51,11 +51,11 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
 def _under_way(
     jobs: Sequence[BatchJob], folder: Path, workers: int, scheduler: str | None
 ) -> Iterator[tuple[BatchJob, str]]:
-    """The outcomes of jobs whose folders are ready; failures are noted in them."""
+    """Prepare the folders of jobs, run them, and yield each with its error ("" for none)."""
     for job in jobs:
         own = folder / job.name
         make_folder(own)
-        for stale in (FAILED, DONE):  # of another image or other options
+        for stale in (FAILED, DONE):  # left by another image or other options
             (own / stale).unlink(missing_ok=True)
         write_atomically(own / _WANTED, _wanted(job).encode())
     for job, error in outcomes(jobs, folder, min(workers, max(len(jobs), 1)), scheduler):
@@ -65,7 +65,7 @@ def _under_way(
 
 
 def _done_before(job: BatchJob, folder: Path) -> bool:
-    """Whether the results of just this job are there."""
+    """Whether the folder holds results of exactly this job."""
     own = folder / job.name
     wanted = own / _WANTED
     if own.exists() and not wanted.is_file() and any(own.iterdir()):
@@ -75,7 +75,7 @@ def _done_before(job: BatchJob, folder: Path) -> bool:
 
 
 def _wanted(job: BatchJob) -> str:
-    """What the results depend on."""
+    """All that the results depend on, as JSON."""
     facts = {
         "version": __version__,
         "words": job.words(Path("."))[:-2],
@@ -89,7 +89,7 @@ def _wanted(job: BatchJob) -> str:
 
 
 def _state(path: Path) -> list[int] | None:
-    """Size and time of a file, or of all files of an OME-Zarr folder."""
+    """Size (bytes) and time (ns) of a file, or total and latest of an OME-Zarr folder."""
     inside = path.rglob("*") if path.suffix.lower() == ZARR else [path]
     states = [file.stat() for file in inside if file.is_file()]
     if not states:
@@ -98,7 +98,7 @@ def _state(path: Path) -> list[int] | None:
 
 
 def _check_options(jobs: Sequence[BatchJob]) -> None:
-    """InputError for options that no fit takes, and where seeds are missing, before any work."""
+    """Raise InputError, before any work, for options that no fit takes, or missing seeds."""
     from . import build_parser
 
     for job in jobs:

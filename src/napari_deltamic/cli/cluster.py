@@ -24,26 +24,26 @@ from ..results.batch_tables import DONE
 from ..runs.batch import BatchJob
 from .messages import INTERRUPTED
 
-# s; until a scheduler has to answer: a busy one takes seconds, a missing one would never
+# s within which a scheduler must answer: a busy one takes seconds, a missing one never would
 _PATIENCE = 20.0
 _ENVIRONMENT, _PROFILE = (  # of Dask's configuration
     "distributed.nanny.pre-spawn-environ",
     "distributed.worker.profile.enabled",
 )
-_TURN = 0.2  # s; after which a wait looks for Ctrl-C, where that does not end it
+_TURN = 0.2  # s between looks for Ctrl-C while waiting, where Ctrl-C does not end the wait
 
 _log = logging.getLogger(__name__)
 
 
 def fit_in_folder(words: Sequence[str]) -> str:
-    """Run one command in this process; what went wrong, in one line, "" for nothing.
+    """Run one command in this process; returns what went wrong in one line, or "".
 
     Raises
     ------
     KeyboardInterrupt
-        If it was interrupted: it has then ended as it does on its own, in good order.
+        If it was interrupted; it has then ended in good order, as when run on its own.
     """
-    from . import main  # in the process that works
+    from . import main  # imported only in the process that does the work
 
     said = io.StringIO()
     try:
@@ -61,24 +61,24 @@ def fit_in_folder(words: Sequence[str]) -> str:
 def outcomes(
     jobs: Sequence[BatchJob], folder: Path, workers: int, scheduler: str | None
 ) -> Iterator[tuple[BatchJob, str]]:
-    """Each job as it ends, with what went wrong.
+    """Run the jobs; yields each as it ends, with what went wrong ("" for nothing).
 
     Parameters
     ----------
     folder
-        In which each has a folder of its name.
+        Folder in which each job has a folder of its name.
     workers
-        Processes of this machine; 0 for none but this one, which needs no Dask.
+        Number of processes on this machine; 0 for this process alone, which needs no Dask.
     scheduler
-        Address of a running Dask scheduler, whose workers see the same files; instead of processes
-        of this machine.
+        Address of a running Dask scheduler, whose workers see the same files; used instead of
+        processes of this machine.
 
     Raises
     ------
     InputError
         If Dask is not installed, or the scheduler does not answer.
     Failure
-        If the scheduler is gone before all jobs have ended.
+        If the scheduler is lost before all jobs have ended.
     KeyboardInterrupt
         At Ctrl-C, whatever else goes wrong then.
     """
@@ -104,7 +104,7 @@ def outcomes(
             for job in jobs
         }
         for future in _as_they_end(list(futures)):
-            if future.cancelled():  # which nobody but a lost connection does
+            if future.cancelled():  # only a lost connection does that
                 raise Failure(
                     "the connection to the scheduler was lost; what is finished is kept, and the "
                     "same command goes on from there"
@@ -115,15 +115,15 @@ def outcomes(
 
 
 def _as_they_end(futures: Sequence[Any]) -> Iterator[Any]:
-    """The futures of Dask in the order in which they end.
+    """Dask's futures in the order in which they end.
 
-    Ctrl-C waits in the queue with them. As an exception at whatever line runs just then it could
-    be lost: what a destructor or a callback of a library raises is dropped.
+    Ctrl-C is put in the same queue. As an exception at whatever line is running it could be lost:
+    what a destructor or a callback of a library raises is dropped.
 
     Raises
     ------
     KeyboardInterrupt
-        If Ctrl-C was pressed meanwhile, also after the last has ended.
+        If Ctrl-C was pressed meanwhile, even after the last one has ended.
     """
     ended: SimpleQueue[Any] = SimpleQueue()
     for future in futures:
@@ -147,7 +147,7 @@ def _next(ended: SimpleQueue[Any]) -> Any:
 
 @contextlib.contextmanager
 def _first_interrupt_in(queue: SimpleQueue[Any]) -> Iterator[None]:
-    """The first Ctrl-C puts None into a queue; a second one does what it did before."""
+    """Within the block, the first Ctrl-C puts None into the queue; a second acts as usual."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -186,27 +186,28 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             yield client
         return
     with contextlib.ExitStack() as opened:
-        with interrupts_held():  # until it is sure that what was started is closed as well
+        with interrupts_held():  # until what was started is certain to be closed as well
             cluster = opened.enter_context(_closed(_local_cluster(workers)))
         yield opened.enter_context(_closed(Client(cluster)))
 
 
 def _local_cluster(workers: int) -> Any:
-    """Processes of this machine, as each fit computes; nothing listens to other machines.
+    """A Dask cluster of one-thread processes on this machine; none listens to other machines.
 
-    Two habits of Dask's processes are off: a profiler stops them a hundred times a second, and
-    freed memory goes back at once (see ``freed_memory``). Without either, small fits by one process
-    took 1.3 to 2.0 s instead of 1.5 to 2.6.
+    Two defaults of Dask are switched off: a profiler that stops each process a hundred times a
+    second, and returning freed memory at once (see ``freed_memory``). Measured: small fits by one
+    process then took 1.3 to 2.0 s instead of 1.5 to 2.6.
 
-    They take no notice of Ctrl-C, which a terminal sends to all of them: they would end with a
-    traceback each, and this process ends them. They have that from the thread that starts them.
+    The processes ignore Ctrl-C, which a terminal sends to all of them: each would end with a
+    traceback, and this process ends them anyway. They inherit that from the thread that starts
+    them.
     """
     import dask
     from distributed import LocalCluster
 
     def start() -> Any:
         if sys.platform != "win32":
-            resource_tracker.ensure_running()  # its start would let signals in again
+            resource_tracker.ensure_running()  # starting it later would unblock signals again
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         environment = dict(dask.config.get(_ENVIRONMENT))
         environment.pop("MALLOC_TRIM_THRESHOLD_", None)
@@ -219,7 +220,7 @@ def _local_cluster(workers: int) -> Any:
                 dashboard_address=None,
                 memory_limit=0,
                 preload=[seldom_collected.__name__],
-                silence_logs=logging.CRITICAL,  # of what Ctrl-C cuts short; what fails is told
+                silence_logs=logging.CRITICAL,  # they log what Ctrl-C cut short; failures are told
             )
 
     with ThreadPoolExecutor(1) as thread:
@@ -228,7 +229,7 @@ def _local_cluster(workers: int) -> Any:
 
 @contextlib.contextmanager
 def _closed(opened: Any) -> Iterator[Any]:
-    """Closes something of Dask; that it fails to close is no reason to lose how the jobs ended."""
+    """Close a Dask object at the end; if that fails, the outcomes of the jobs are not lost."""
     try:
         yield opened
     finally:
@@ -239,7 +240,7 @@ def _closed(opened: Any) -> Iterator[Any]:
 
 
 def default_workers() -> int:
-    """As many processes as there are cores for this one."""
+    """The number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

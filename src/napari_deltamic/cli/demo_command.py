@@ -32,7 +32,7 @@ SIGMA_ERROR = 1.3  # times too wide is the PSF at the start: enough to see that 
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
-    """Open napari and show the fit; without a display or napari, fit and write."""
+    """Open napari and show the fit; without a display or napari, fit and write the results."""
     notes.release()
     sample, folder = dividing_cell_sample(), Path(arguments.output)
     window = not arguments.headless and has_display()
@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         notes.add("napari is not installed, so the results are written: 'pip install napari[all]'")
         window = False
     if window:
-        from ..gui.live_demo import show  # needs Qt and napari, which the rest does without
+        from ..gui.live_demo import show  # needs Qt and napari, unlike the rest
 
         show(sample, start_mesh(sample), demo_settings(sample, folder))
     else:
@@ -73,7 +73,7 @@ def demo_settings(sample: Sample, folder: Path) -> RunSettings:
 
 
 def run_headless(sample: Sample, folder: Path) -> None:
-    """Fit, write the results, print where they are and how good."""
+    """Fit, write the results, and print where they are and how good they are."""
     settings, mesh = demo_settings(sample, folder), start_mesh(sample)
     assert settings.scene.sigma is not None
     make_folder(folder)
@@ -113,7 +113,7 @@ def run_headless(sample: Sample, folder: Path) -> None:
 
 
 def summary(sample: Sample, state: FitState, seconds: float) -> list[str]:
-    """What the fit reached, against the truth."""
+    """Lines that compare the result of the fit with the truth."""
     distance = surface_distance(state.mesh, sample.truth, samples=5000)
     voxel = min(sample.grid.voxel_size)
     verdict = state.message or ("converged" if state.converged else "ended")

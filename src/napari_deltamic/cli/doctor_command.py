@@ -35,7 +35,7 @@ VARIABLES = ("DELTAMIC_SIMD", "OMP_NUM_THREADS", "OMP_WAIT_POLICY", "MKL_NUM_THR
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
-    """Print what is found; problems are lines of their own."""
+    """Print what is found, with problems on lines of their own."""
     facts = examine()
     if arguments.json:
         print(json.dumps(facts, indent=2))
@@ -54,7 +54,7 @@ def examine() -> dict[str, Any]:
     """What ``doctor`` prints: titles -> names -> texts, and a list of problems."""
     problems: list[str] = []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of drivers, and of the extension: both are told below
+        warnings.simplefilter("ignore")  # about drivers and the extension: both are reported below
         devices = _devices(problems)
         engines = _engines(problems)
         used = _used()
@@ -138,7 +138,7 @@ def _threads() -> dict[str, str]:
 
 
 def _used() -> dict[str, str]:
-    """The engine that a scene of a usual size gets, with the reason: the time that each takes."""
+    """The engine that a scene of usual size gets, and why: the time that each engine takes."""
     grid = Grid((100, 100, 100), (0.1, 0.1, 0.1))
     mesh = sphere((5, 5, 5), 3.0, subdivisions=4)
     optics = GaussianPSF(0.15)

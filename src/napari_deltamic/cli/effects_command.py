@@ -27,7 +27,7 @@ from .recommending import as_plain, as_table
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
-    """Read, fit, judge; prints a table."""
+    """Read, fit and judge; prints a table, or JSON."""
     only = None
     if arguments.candidates is not None:
         only = [n.strip().replace("-", "_") for n in arguments.candidates.split(",") if n.strip()]
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
 
 
 def _hints(job: FitInput) -> dict[str, Finding]:
-    """What the image alone tells, besides the camera."""
+    """What the image alone tells, except about the camera."""
     size = job.grid.voxel_size
     image = np.asarray(job.image)
     width = first_sigma(image, size)

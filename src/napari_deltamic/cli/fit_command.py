@@ -33,15 +33,15 @@ from .recommending import (
 )
 from .second_view_input import check_second_view
 
-CHECKPOINT_EVERY = 5.0  # s: what a crash may cost; to write one takes far less than that
-_CLEARLY = 1.1  # times the error asked for: predictions are not so exact that less would count
-# Share of the signal: a fit with effects can do more, so it may not explain less. Chosen: so much
-# may differ since each is judged near its own surfaces.
+CHECKPOINT_EVERY = 5.0  # s: what a crash may cost; writing a checkpoint takes far less
+_CLEARLY = 1.1  # times the error asked for: predictions are not exact enough for less to count
+# Share of the signal. A fit with effects has more freedom, so it should not explain less. Chosen:
+# this much may differ, as each fit is judged near its own surfaces.
 _LESS = 0.01
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
-    """Read, fit, write; prints the path of each result."""
+    """Read, fit and write; prints the path of each result."""
     folder = Path(arguments.output)
     auto = arguments.effects == "auto"
     try:
@@ -60,17 +60,17 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
 
 
 def _tell_outlook(job: FitInput, notes: Notes) -> None:
-    """Whether the image allows the shape that is asked for."""
+    """Add a note if the image does not allow the shape error that is asked for."""
     asked = asked_error(job.settings.fit.shape_error)
     if asked is not None and job.predicted is not None and job.predicted > _CLEARLY * asked:
         notes.add(
-            f"a shape within {1000 * asked:.0f} nm is not to be had from this image: about "
-            f"{1000 * job.predicted:.0f} nm is"
+            f"this image does not allow a shape error of {1000 * asked:.0f} nm: about "
+            f"{1000 * job.predicted:.0f} nm can be expected"
         )
 
 
 class _Run:
-    """A fit under way: its course, its checkpoints, its end."""
+    """A fit under way: follows it, writes checkpoints, and ends it."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class _Run:
         residual: bool = False,
     ) -> None:
         self.job, self.folder, self.notes = job, folder, notes
-        self.auto, self.residual = auto, residual  # effects; whether the map is written
+        self.auto, self.residual = auto, residual  # whether to add effects, to write the map
         self.further: dict[str, Any] = {}  # sections of the report
         self.checkpoint = folder / CHECKPOINT
         self.history = History()
@@ -90,7 +90,7 @@ class _Run:
         self.has_settings = self.has_results = False  # whether the folder has them
 
     def complete(self, states: Iterator[FitState]) -> int:
-        """Drive the fit to its end, or to that of the user's patience, and write the results."""
+        """Run the fit until it ends or is interrupted, and write the results; the exit code."""
         try:
             self._follow(states)
             if self.auto:
@@ -104,7 +104,7 @@ class _Run:
         return 0
 
     def _follow_with_effects(self) -> None:
-        """Go on with the effects that the fit calls for; back to it where that explains less."""
+        """Continue with the effects that the fit calls for; undo that if it explains less."""
         assert self.last is not None, "a fit yields at least one state"
         job, last, history = self.job, self.last, self.history
         self._follow(self._with_recommended())
@@ -122,12 +122,12 @@ class _Run:
 
     @staticmethod
     def _explained(job: FitInput, state: FitState) -> float:
-        """Share of the signal around the surfaces; 0 where nothing varies beyond noise."""
+        """Share of the signal around the surfaces that is explained; 0 if there is only noise."""
         left = analyse_residual(job.image, job.grid, state, counted=job.counted)
         return left.explained or 0.0
 
     def _with_recommended(self) -> Iterator[FitState]:
-        """The fit with the effects that the one before calls for; empty where it calls for none."""
+        """The fit with the effects that the last one calls for; empty if it calls for none."""
         assert self.last is not None, "a fit yields at least one state"
         found = recommend_for(self.job, self.last, progress=self.notes.add)
         self.further["recommendation"] = as_plain(found)
@@ -138,13 +138,13 @@ class _Run:
         scene = self.job.settings.scene.model_copy(update={"effects": found.effects})
         self._take_over(self.job.with_settings(scene=scene))
         self.history = History()
-        self.last = replace(self.last, message="")  # its verdict is not that of what comes
+        self.last = replace(self.last, message="")  # its message is not about the next fit
         return start(self.job)
 
     def _follow(self, states: Iterator[FitState]) -> None:
         saved = time.monotonic()
         terminal = sys.stderr.isatty()
-        # How many iterations a fit takes is not known, so there is no share and no time left.
+        # The number of iterations is not known, so the bar shows no percentage and no time left.
         with Bar(unit="it", file=sys.stderr, mininterval=0.2 if terminal else 10.0) as bar:
             for state in heard(states, bar.tell):
                 if self.last is not None and self.last.message:
@@ -160,12 +160,12 @@ class _Run:
                     saved = time.monotonic()
 
     def _take_over(self, job: FitInput) -> None:
-        """Go on with this job, whose settings are then no longer those on disk."""
+        """Continue with this job; if it is a new one, the settings on disk are out of date."""
         self.has_settings = self.has_settings and job is self.job
         self.job = job
 
     def _keep(self, state: FitState) -> None:
-        """Write a checkpoint, which is of use only together with the settings."""
+        """Write a checkpoint, and the settings, without which it is of no use."""
         with interrupts_held():
             if not self.has_settings:
                 toml = self.folder / "run.toml"
@@ -197,7 +197,7 @@ class _Run:
             write_image(tif, left.map, job.grid.voxel_size)
             paths.append(tif)
         else:
-            tif.unlink(missing_ok=True)  # of an earlier fit
+            tif.unlink(missing_ok=True)  # left by an earlier fit
         how = state.message or ("converged" if state.converged else "ended")
         print(
             f"{how} ({state.iteration} iterations, {seconds:.1f} s, loss {state.loss:.4g})",
@@ -233,7 +233,7 @@ class _Run:
             return INTERRUPTED
         toml = self.folder / "run.toml"
         words = [PROGRAM, "fit", "--settings", toml, "--resume", self.checkpoint]
-        # What is no part of the settings must be said again.
+        # Options that are not part of the settings must be given again.
         words += ["--missing-nan"] if self.job.has_missing else []
         words += ["--residual"] if self.residual else []
         words += ["--overwrite", "-o", self.folder]
@@ -244,7 +244,7 @@ class _Run:
         return INTERRUPTED
 
     def _failed(self, error: Exception) -> Exception:
-        """What to raise instead; keeps the last state, from which a fit can go on."""
+        """The error to raise instead; saves the last state, from which the fit can go on."""
         reason = error if isinstance(error, InputError) else failure(error, self.job.grid.shape)
         if self.last is None:
             return reason

@@ -1,4 +1,4 @@
-"""The flags of a settings object, made of what it says of itself; and what was given by them."""
+"""Flags made from the descriptions of settings, and the values given with them."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def add_flags(
     required: Collection[str] = (),
     helps: Mapping[str, str] | None = None,
 ) -> None:
-    """Add a flag for each setting that has one, without a default: the settings object has it.
+    """Add a flag for each setting that has one, without a default: the settings object has that.
 
     Parameters
     ----------
-    parser : of argparse, or a group of one.
-    model : a settings object.
-    names : of its settings; None for all.
-    required : names of those that have to be given.
-    helps : other help texts, by name.
+    parser : an argparse parser, or a group of one.
+    model : a settings class.
+    names : the settings to add, by name; None for all.
+    required : names of those that must be given.
+    helps : help texts to use instead of the tips, by name.
     """
     for name, found in described(model).items():
         if found.flag and (names is None or name in names):
@@ -41,7 +41,7 @@ def add_flags(
 
 
 def help_of(found: Described) -> str:
-    """What a flag's help says: what it does, its unit, its default."""
+    """The help text of a flag: unit, what it does, default."""
     text = f"{found.unit}; {found.tip}" if found.unit else found.tip
     if found.required or found.default is None or found.kind == "part":
         return text
@@ -51,7 +51,7 @@ def help_of(found: Described) -> str:
 def values_given(
     arguments: argparse.Namespace, model: type[Any], names: Collection[str] | None = None
 ) -> dict[str, Any]:
-    """The settings that the arguments give, by name, as plain values."""
+    """The settings given by the arguments, by name, as plain values."""
     found = {}
     for name, one in described(model).items():
         if one.flag and (names is None or name in names):
@@ -62,7 +62,7 @@ def values_given(
 
 
 def dest_of(found: Described) -> str:
-    """The attribute that argparse gives to a flag."""
+    """The attribute under which argparse stores the value of a flag."""
     return found.flag.lstrip("-").replace("-", "_")
 
 

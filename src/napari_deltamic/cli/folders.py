@@ -17,13 +17,13 @@ def check_folder(
     Parameters
     ----------
     folder
-        Need not be there; made later.
+        Need not exist; it is made later.
     names
-        Of results that would be lost.
+        File names of results that would be lost.
     overwrite
-        Whether they may be.
+        Whether these may be replaced.
     but
-        A file that may be there, as one that a run goes on from.
+        A file that may be there all the same, such as the checkpoint that a run continues from.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def check_folder(
 
 
 def check_kept(folder: Path, names: Sequence[str], *files: str | None) -> None:
-    """InputError where results would take the place of a file that they are made of."""
+    """Raise InputError if results would replace a file that they are made from."""
     for file in files:
         if file is not None and any(_same(folder / name, Path(file)) for name in names):
             raise InputError(f"{file} would be replaced by the results: choose another folder")

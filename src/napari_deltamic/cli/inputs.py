@@ -36,7 +36,7 @@ CHANNEL = described(RunSettings)["channel"].flag
 
 
 def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
-    """Read everything that a fit needs. Raises InputError where something cannot be used."""
+    """Read everything that a fit needs; InputError if something cannot be used."""
     values = run_values(arguments, notes)
     image, found = read_image(values["image"], values.get("channel"), CHANNEL)
     scene = values["scene"]
@@ -47,7 +47,7 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
         notes.add(f"{Path(settings.image).name}: {padded}")
     grid = Grid(image.shape, settings.scene.voxel_size, settings.scene.origin)
     check_image(image, grid)
-    # "none" means it; a background that is asked for may begin as the image shows it.
+    # "none" is meant literally; a requested background may start as the image shows it.
     wanted = arguments.effects in (None, AUTO) or bool(settings.scene.effects.present())
     ground = wanted and not arguments.settings
     return fit_of(settings, image, grid, notes, ground=ground)
@@ -56,7 +56,7 @@ def gather(arguments: argparse.Namespace, notes: Notes) -> FitInput:
 def fit_of(
     settings: RunSettings, image: NDArray[Any], grid: Grid, notes: Notes, *, ground: bool
 ) -> FitInput:
-    """A fit of an image, with notes on what was left open; see ``put_together``."""
+    """The inputs of a fit, with notes on what was left open; see ``put_together``."""
 
     def tell(scene: SceneSettings, uneven: str, told: bool) -> None:
         if uneven:
@@ -77,7 +77,7 @@ def fit_of(
 
 
 def _what_was_found(path: str, cells: Mesh) -> str:
-    """How many cells, of what size, and how to look for others."""
+    """A sentence on how many cells were found, how large, and how to look for other sizes."""
     volumes = list(cells.volumes().values())
     across = float(np.median(2 * ball_radius(volumes)))
     number = "1 cell was found," if len(volumes) == 1 else f"{len(volumes)} cells were found, most"
@@ -88,12 +88,12 @@ def _what_was_found(path: str, cells: Mesh) -> str:
 def load_seeds(
     path: str, file: str, image: NDArray[Any], grid: Grid
 ) -> tuple[Mesh, SeedKind, FloatArray | None]:
-    """Starting surfaces, from a file or found; see ``start_of``. file : that of the image.
+    """Starting surfaces, read or found; see ``start_of``. file : path of the image.
 
     Raises
     ------
     InputError
-        As the readers do; it names the file.
+        As the readers raise it; it names the file.
     """
     seeds = seeds_of(path, file)
     try:
@@ -108,7 +108,7 @@ def load_seeds(
 def run_values(
     arguments: argparse.Namespace, notes: Notes, model: type[RunSettings] = RunSettings
 ) -> dict[str, Any]:
-    """The run settings as plain values: those of a file, if any, under those of the arguments."""
+    """The run settings as plain values: the arguments override those of a file, if given."""
     values: dict[str, Any] = {"scene": {}, "fit": {}}
     if arguments.settings:
         values = model.from_toml(arguments.settings).model_dump()
@@ -128,12 +128,12 @@ def run_values(
     if arguments.effects is not None:
         if arguments.effects == "auto" and model is not RunSettings:
             notes.add("effects: 'auto' adds none to a series; 'effects' says which a frame needs")
-        # Those that an image calls for are added once it was fitted without.
+        # The effects that an image calls for are added after a fit without them.
         text = "none" if arguments.effects == "auto" else arguments.effects
         effects, before = Effects.from_text(text), values["scene"].get("effects")
         view = None if before is None else validated(Effects, before).view
         if view is not None and effects.view is None:
-            effects = effects.adding(view)  # it is data, which flags of its own give
+            effects = effects.adding(view)  # it is data, and has flags of its own
         values["scene"]["effects"] = effects
     with_second_view(values["scene"], arguments)
     return values
@@ -160,7 +160,7 @@ def voxel_size_of(given: Any, found: VoxelSize | None, path: str, notes: Notes) 
 
 
 def usable(image: NDArray[Any], missing_nan: bool, notes: Notes, frame: str = "") -> NDArray[Any]:
-    """The image, or a frame, with NaN where it is not finite, if that was asked for."""
+    """The image or frame, with NaN where not finite; InputError if that may not be left out."""
     if not np.issubdtype(image.dtype, np.floating):
         return image
     nan, infinite = int(np.isnan(image).sum()), int(np.isinf(image).sum())

@@ -1,4 +1,4 @@
-"""``napari-deltamic measure``: tables and files of what is measured on a mesh."""
+"""``napari-deltamic measure``: measures a mesh, and writes tables and files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from .messages import Notes, tell
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
-    """Read, measure, write; prints the path of each result."""
+    """Read, measure and write; prints the path of each result."""
     folder = Path(arguments.output)
     if holds_tracks(arguments.source):
         _check_of_tracks(arguments)
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
 
 
 def _images(arguments: argparse.Namespace, source: Measurable) -> dict[str, NDArray[Any]]:
-    """What the fit expects, and what it leaves, where that was asked for."""
+    """The rendered image and the residual, by name, if asked for; InputError if not possible."""
     if arguments.images is None:
         return {}
     if source.image is None or source.grid is None:
@@ -89,7 +89,7 @@ def _images(arguments: argparse.Namespace, source: Measurable) -> dict[str, NDAr
 
 
 def _check_of_tracks(arguments: argparse.Namespace) -> None:
-    """InputError for options that say something of one image."""
+    """Raise InputError for options that concern a single image."""
     for name in (
         "image",
         "channel",
@@ -105,7 +105,7 @@ def _check_of_tracks(arguments: argparse.Namespace) -> None:
 
 
 def _tracks(source: Path, folder: Path, notes: Notes) -> int:
-    """What ``track`` wrote, as a table and as a graph for other tools."""
+    """Write the results of ``track`` as a table, and as a graph for other tools."""
     results = read_results(source)
     with own_folder(folder):
         notes.release()
@@ -118,7 +118,7 @@ def _tracks(source: Path, folder: Path, notes: Notes) -> int:
 
 
 def _other(arguments: argparse.Namespace, source: Measurable, notes: Notes) -> tuple[Table, ...]:
-    """The tables of another channel."""
+    """The tables of another channel; InputError if it cannot be measured."""
     if source.grid is None:
         raise InputError("--other-channel needs the image of the mesh: give --image")
     asked, sigma = arguments.other_channel, _asked(arguments.other_channel_sigma) or source.sigma
@@ -147,9 +147,9 @@ def _other(arguments: argparse.Namespace, source: Measurable, notes: Notes) -> t
 
 
 def _other_pixels(asked: str, source: Measurable) -> tuple[NDArray[Any], VoxelSize | None]:
-    """Those of a file, or of a channel of the image that the mesh was fitted to; with their size.
+    """Pixels and voxel size (um) of a file, or of a channel of the image the mesh was fitted to.
 
-    None for the size where that of the image counts.
+    The size is None for a channel of that image, whose size counts.
     """
     if Path(asked).suffix.lower() in IMAGE_FILES:
         return read_image(asked)

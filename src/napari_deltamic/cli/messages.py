@@ -1,4 +1,4 @@
-"""What the command line says besides its results: remarks and failures, a line each."""
+"""What the command line says besides its results: remarks and failures, one line each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from ..errors import TOLD, one_line
 
-INTERRUPTED = 130  # exit code, as of a program that SIGINT has ended
+INTERRUPTED = 130  # exit code, as of a program ended by SIGINT
 
 _log = logging.getLogger(__name__)
 
@@ -34,14 +34,14 @@ class Notes:
         self._held = True
 
     def add(self, text: str) -> None:
-        """Say something now, or when released."""
+        """Print a remark now, or, if still held back, on :meth:`release`."""
         text = one_line(text)
         self.texts.append(text)
         if not self._held:
             self._say(text)
 
     def release(self) -> None:
-        """Say what was held back; from now on everything is said at once."""
+        """Print what was held back; from now on everything is printed at once."""
         if self._held:
             self._held = False
             for text in self.texts:
@@ -49,7 +49,7 @@ class Notes:
 
     @contextmanager
     def catching_warnings(self) -> Iterator[None]:
-        """The warnings that are meant for users become notes; others are logged."""
+        """Within the block, warnings meant for users become notes; others are logged."""
         with warnings.catch_warnings():
             for category in TOLD:
                 warnings.simplefilter("always", category)
@@ -65,27 +65,27 @@ class Notes:
 
     @staticmethod
     def _say(text: str) -> None:
-        with suppress(OSError, ValueError):  # nobody listens: no reason to lose a fit
+        with suppress(OSError, ValueError):  # stderr is closed: no reason to lose a fit
             tqdm.write(f"note: {text}", file=sys.stderr)  # does not break a progress bar
 
 
 class _Nowhere(io.TextIOBase):
-    """Takes everything, keeps nothing."""
+    """A stream that discards everything."""
 
     def write(self, text: str) -> int:
         return len(text)
 
 
 def tell(path: object) -> None:
-    """Print the path of a result, a line on stdout.
+    """Print the path of a result on a line of stdout.
 
-    The result is there all the same where stdout cannot take it: then nothing more goes there.
+    If stdout cannot be written to, nothing more is printed: the result exists all the same.
     """
     try:
         try:
             str(path).encode(getattr(sys.stdout, "encoding", None) or "utf-8")
             print(path, flush=True)
-        except UnicodeEncodeError:  # a name that is no text here; its bytes are
+        except UnicodeEncodeError:  # a name that this encoding lacks: write its bytes
             sys.stdout.flush()
             sys.stdout.buffer.write(os.fsencode(str(path)) + b"\n")
             sys.stdout.buffer.flush()
@@ -94,13 +94,13 @@ def tell(path: object) -> None:
 
 
 class Bar(tqdm):  # type: ignore[misc]
-    """A progress bar without the thread that watches over progress bars."""
+    """A progress bar without tqdm's monitoring thread."""
 
     monitor_interval = 0
-    _told = 0.0  # s: when it last said what is done meanwhile
+    _told = 0.0  # s: when it last showed what is being done
 
     def tell(self, text: str) -> None:
-        """Say what is done meanwhile, as often as it says how far it is; '' for the same."""
+        """Show what is being done, as often as the bar is refreshed; '' for the same as before."""
         if text:
             self.set_description_str(text, refresh=False)
         if time.monotonic() - self._told >= self.mininterval:

@@ -1,4 +1,4 @@
-"""The arguments by which commands take a PSF, and what they say."""
+"""The arguments that describe a PSF, and the PSF that they give."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from ..optics import Optics
 
 _MICROSCOPE, _BEAD = described(MicroscopeOptics), described(MeasuredOptics)
-# Where no image gives any.
+# Help texts where there is no image to take them from.
 _GIVEN = {"voxel_size": "size of a voxel", "sigma": "standard deviations of the PSF"}
 # Names of the arguments.
 OPTICS_ARGUMENTS = ("optics", *(dest_of(d) for d in (*_BEAD.values(), *_MICROSCOPE.values())))
 
 
 def add_grid_and_optics(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of a grid and a PSF, where no image gives any."""
+    """Add the arguments of a grid and a PSF, for commands without an image."""
     parser.add_argument("--shape", nargs=3, type=int, metavar=TRIPLE, required=True, help="voxels")
     helps = {name: f"um; {text}" for name, text in _GIVEN.items()}
     add_flags(parser, SceneFields, tuple(_GIVEN), required=("voxel_size",), helps=helps)
@@ -37,7 +37,7 @@ def add_grid_and_optics(parser: argparse.ArgumentParser) -> None:
 
 
 def add_optics(parser: Any) -> None:
-    """Add the arguments, all but --sigma, which every command words itself."""
+    """Add the arguments of a PSF except --sigma, which every command words itself."""
     group = parser.add_argument_group(
         "PSF", "instead of --sigma: a file of settings, the image of a bead, or the objective"
     )
@@ -47,12 +47,12 @@ def add_optics(parser: Any) -> None:
 
 
 def optics_values(arguments: argparse.Namespace) -> dict[str, Any] | None:
-    """Settings of the PSF that the arguments give, as plain values; None where they give none.
+    """Settings of the PSF that the arguments describe, as plain values; None if they give none.
 
     Raises
     ------
     InputError
-        If they give two, or not all that one needs.
+        If they describe two, or leave out something that one needs.
     """
     numbers = values_given(arguments, MicroscopeOptics)
     bead = values_given(arguments, MeasuredOptics)
@@ -77,7 +77,7 @@ def optics_values(arguments: argparse.Namespace) -> dict[str, Any] | None:
 
 
 def optics_from_arguments(arguments: argparse.Namespace) -> Optics:
-    """The PSF; InputError where none is given."""
+    """The PSF that the arguments describe; InputError if they give none."""
     values = optics_values(arguments)
     if values is not None:
         return optics_from_values(values).build()

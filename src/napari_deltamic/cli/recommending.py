@@ -1,4 +1,4 @@
-"""What the command line does with recommended effects: as lines, as plain values, in a fit."""
+"""Recommended effects on the command line: as lines, as a table, as plain values."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _HEADINGS = ("effect", "score", "bias (nm)", "cost (ms)", "", "why")
 
 
 def verdict(found: Recommendation) -> list[str]:
-    """A line for each effect that is recommended; one that says so where none is."""
+    """A line for each recommended effect, or one that says there is none; then any remarks."""
     lines = [f"effects: {e.name} added: {e.reason}" for e in found.evidence if e.recommended]
     lines = lines or ["effects: the image calls for none"]
     return [*lines, *(f"effects: {remark}" for remark in found.remarks)]
 
 
 def as_table(found: Recommendation) -> str:
-    """Aligned lines: every effect that was considered."""
+    """A table in aligned columns with a line for every effect that was considered."""
     rows = [
         (
             e.name,
@@ -36,7 +36,7 @@ def as_table(found: Recommendation) -> str:
 
 
 def as_plain(found: Recommendation) -> dict[str, Any]:
-    """For JSON."""
+    """The recommendation as plain values, for JSON."""
     return {
         "recommended": list(found.recommended),
         "threshold": found.threshold,
@@ -48,7 +48,7 @@ def as_plain(found: Recommendation) -> dict[str, Any]:
 
 
 def residual_as_plain(left: Residual) -> dict[str, Any]:
-    """For JSON; without the map."""
+    """The residual as plain values, for JSON, without its map."""
     return {
         "explained": left.explained,
         "threshold": left.threshold,
@@ -58,6 +58,6 @@ def residual_as_plain(left: Residual) -> dict[str, Any]:
 
 
 def camera_as_plain(camera: Camera) -> dict[str, Any]:
-    """Gain, read noise, offset and saturation: value, error, and how each was found."""
+    """Gain, read noise, offset and saturation for JSON: value, error, how each was found."""
     findings = ("gain", "read_noise", "offset", "saturation")
     return {name: asdict(getattr(camera, name)) for name in findings}

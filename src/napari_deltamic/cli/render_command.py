@@ -16,7 +16,7 @@ from .optics_arguments import optics_from_arguments
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
-    """Render and write; prints the path."""
+    """Render the image and write it; prints the path."""
     output = Path(arguments.output)
     grid = Grid(tuple(arguments.shape), tuple(arguments.voxel_size))
     optics = optics_from_arguments(arguments)

@@ -1,4 +1,4 @@
-"""The arguments by which ``fit`` takes a second image of the same scene."""
+"""The arguments with which ``fit`` takes a second image of the same scene."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def with_second_view(scene: dict[str, Any], arguments: argparse.Namespace) -> No
     Raises
     ------
     InputError
-        If the file or the PSF is missing, or the PSF cannot be.
+        If the file or the PSF is missing, or the PSF is not possible.
     """
     file = getattr(arguments, "view_file", None)
     sigma = getattr(arguments, "view_sigma", None)
@@ -43,7 +43,7 @@ def with_second_view(scene: dict[str, Any], arguments: argparse.Namespace) -> No
 
 
 def check_second_view(scene: SceneSettings) -> None:
-    """InputError if a second view's file notes another voxel size than that of the image."""
+    """Raise InputError if the file of a second view gives another voxel size than the image."""
     view = scene.effects.view
     path = None if view is None or not view.image else Path(view.image)
     if path is None or path.suffix.lower() not in TIFF or not path.is_file():

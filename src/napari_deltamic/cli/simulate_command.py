@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
 
 
 def _fixed_mesh(arguments: argparse.Namespace, grid: Grid) -> Mesh | None:
-    """The mesh of a file; None where cells are random."""
+    """The mesh in the given file; None if the cells are random."""
     if arguments.mesh is None:
         return None
     mesh = load_mesh(arguments.mesh)

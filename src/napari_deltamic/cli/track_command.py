@@ -44,7 +44,7 @@ _PRECIOUS = (*FILES, mesh_name(0))
 
 
 def run(arguments: argparse.Namespace, notes: Notes) -> int:
-    """Read, track, write; prints the path of each result."""
+    """Read, track and write; prints the path of each result."""
     folder = Path(arguments.output)
     resumed = arguments.resume is not None and Path(arguments.resume).absolute()
     check_folder(folder, _PRECIOUS, overwrite=arguments.overwrite or resumed == folder.absolute())
@@ -89,7 +89,7 @@ def _gather(arguments: argparse.Namespace, folder: Path, notes: Notes) -> _Run:
 def _seeded(
     images: ImageSeries, first: int, missing_nan: bool, notes: Notes
 ) -> NDArray[np.float32]:
-    """The frame to which the seeds belong."""
+    """The frame to which the seeds belong, (Z, Y, X); InputError if all of it is missing."""
     image = np.asarray(images[first])
     if not np.isfinite(image).any():
         raise InputError(
@@ -104,9 +104,10 @@ def _seeded(
 
 @dataclass
 class _Run:
-    """Tracking under way: its frames, its files, its end.
+    """Tracking under way: follows it, writes its files, and ends it.
 
-    first : the fit of the first frame. results : of the frames done, those of a former run too.
+    first : the fit of the first frame.
+    results : one for each frame done, including those of a previous run.
     """
 
     images: ImageSeries
@@ -115,19 +116,19 @@ class _Run:
     missing_nan: bool
     folder: Path
     notes: Notes
-    started: float = 0.0  # s, of the clock
-    alone: bool = False  # whether what an earlier run left in the folder is gone
+    started: float = 0.0  # s, of the monotonic clock
+    alone: bool = False  # whether files that an earlier run left in the folder are gone
 
     @property
     def settings(self) -> TrackRun:
-        """Of the whole."""
+        """The settings of the whole run."""
         assert isinstance(self.first.settings, TrackRun)
         return self.first.settings
 
     def complete(self) -> int:
-        """Track to the end, or to that of the user's patience."""
+        """Track until the end, or until interrupted; the exit code."""
         self.started = time.monotonic()
-        if self.results:  # of a former run, whose folder may be another
+        if self.results:  # of a previous run, perhaps in another folder
             with written_together(self.folder / FILES[-1]):
                 for result in self.results:
                     write_frame(self.folder, result)

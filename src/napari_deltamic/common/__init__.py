@@ -1,1 +1,1 @@
-"""What every part may use, free of the engine: names to choose from, files written safely."""
+"""What every part may use, independent of the engine: names to choose from, safe writing."""

@@ -1,4 +1,4 @@
-"""Balls as large as something else, for its size as one length."""
+"""The ball of equal volume, which gives the size of something as one length."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ from numpy.typing import ArrayLike
 
 
 def ball_radius(volume: ArrayLike) -> Any:
-    """um: of a ball of so many um^3; of one number, or of each of several."""
+    """Radius (um) of a ball of the given volume (um^3); element by element for an array."""
     return np.cbrt(3 / (4 * np.pi) * np.asarray(volume))

@@ -1,4 +1,4 @@
-"""Where what is costly to make is kept between runs."""
+"""Where results that are costly to compute are kept between runs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ CACHE_VARIABLE = "DELTAMIC_CACHE"
 
 
 def cache_folder() -> Path:
-    """That of the system for caches; the environment variable DELTAMIC_CACHE names another."""
+    """The folder that DELTAMIC_CACHE names, else the user's cache folder of this system."""
     folder = os.environ.get(CACHE_VARIABLE)
     return Path(folder) if folder else user_cache_path("napari-deltamic", appauthor=False)

@@ -11,12 +11,12 @@ from typing import Literal
 DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
 DensityModel = Literal["uniform", "interface", "smooth"]
 Likelihood = Literal["poisson", "gaussian", "paper"]
-# What shines; auto: what the image says.
+# What fluoresces; auto: decided from the image.
 Structure = Literal["membrane", "interior", "both"]
 StructureChoice = Literal["auto", "membrane", "interior", "both"]
 
-# Relative L2 error of an image that is rendered where nobody says more: hardly seen, and
-# below the noise of nearly all images.
+# Relative L2 error of a rendered image where no accuracy is asked for: hardly visible, and below
+# the noise of nearly all images.
 RENDERED_ACCURACY = 1e-3
 
 Modality = Literal["widefield", "confocal", "spinning disk", "light sheet"]
@@ -28,7 +28,7 @@ IMMERSIONS = {"air": 1.0, "water": 1.333, "glycerol": 1.45, "silicone": 1.405, "
 CellKind = Literal["foam", "vesicles"]  # of random cells
 Bits = Literal[8, 12, 16, 32]  # of an intensity; 32: float32, which holds any value
 
-# In the order in which they are told; ``scene.effects.KINDS`` holds the class of each.
+# In the order in which they are listed; ``scene.effects.KINDS`` holds the class of each.
 EFFECTS = (
     "pixel_integration",
     "background",
@@ -48,7 +48,7 @@ IMAGE_FILES = (*TIFF, ".npy", ZARR)
 
 
 def is_image(path: str | PathLike[str]) -> bool:
-    """Whether a file of a folder is an image, by its name; hidden ones are none.
+    """Whether a path is an image, judged by its name; hidden files are not.
 
     macOS puts a hidden `._a.tif` beside each `a.tif` on disks of other systems.
     """
@@ -56,9 +56,9 @@ def is_image(path: str | PathLike[str]) -> bool:
     return plain.suffix.lower() in IMAGE_FILES and not plain.name.startswith(".")
 
 
-AUTO = "auto"  # in the place of a file of seeds: cells are looked for in the image
+AUTO = "auto"  # instead of a file of seeds: cells are looked for in the image
 
 
 def is_auto(seeds: str) -> bool:
-    """Whether cells are looked for: "auto", "auto:12" for those of about 12 um, or "auto@2"."""
+    """Whether seeds are to be found in the image: "auto", "auto:12" (um, size) or "auto@2"."""
     return seeds == AUTO or seeds.startswith((f"{AUTO}:", f"{AUTO}@"))

@@ -1,8 +1,8 @@
-"""What a setting says of itself, once: the flags, the forms and the reference page are made of it.
+"""The description of each setting, written once: flags, forms and reference page are made from it.
 
 A settings object names, for each of its fields, a title, a unit, a tip, bounds, whether it is for
-experts, whether a fit that runs takes it over, and its flag. :func:`setting` writes that down where
-the field is, and :func:`described` reads it.
+experts, whether a running fit adopts a change of it, and its flag. :func:`setting` declares that
+together with the field, and :func:`described` reads it.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ _KEY = "setting"
 
 @dataclass(frozen=True)
 class Described:
-    """What there is to know of one setting.
+    """All that is known about one setting.
 
     Attributes
     ----------
     name
-        Of its field.
+        The name of its field.
     title
-        As it is called in a form, in a few words.
+        What a form calls it, in a few words.
     tip
         What it does, in a sentence or two, without a full stop.
     unit
-        Of its numbers; "" for none.
+        Unit of its numbers; "" for none.
     kind
         What it holds: a switch (yes or no), a choice of names, a whole number, a number, three
-        numbers (Z, Y, X), any count of numbers, a text, or a part, which has settings of its own.
+        numbers (Z, Y, X), any number of numbers, a text, or a part, which has settings of its own.
     choices
-        The names, of a choice; those that are known, of a text.
+        For a choice, its names; for a text, the known values.
     words
-        What a form calls those choices whose name does not say it.
+        What a form calls those choices whose names do not explain themselves.
     low, high
-        What a number may be; None where it has no limit.
+        Bounds of a number; None where there is none.
     optional
         Whether it may be left open (None).
     default
@@ -51,19 +51,19 @@ class Described:
     required
         Whether it must be given.
     advanced
-        Whether it is for experts, or rarely of use.
+        Whether it is for experts, or rarely useful.
     live
-        Whether a fit that runs takes it over.
+        Whether a running fit adopts a change of it.
     flag
-        Of the command line; "" where there is none.
+        Its flag on the command line; "" where there is none.
     metavar
         What the flag's help calls a value.
     start
         What a form shows where the default is open.
     step
-        By which a form changes a number.
+        The step by which a form changes a number.
     automatic
-        What a form calls an open value.
+        What a form calls a value that is left open.
     """
 
     name: str
@@ -93,12 +93,12 @@ class Described:
 
     @property
     def sentence(self) -> str:
-        """The tip as a sentence, with the unit."""
+        """The tip as a sentence."""
         return sentence(self.tip)
 
     @property
     def bounds(self) -> str:
-        """What a number may be, in words; "" where it may be any."""
+        """The bounds of a number in words; "" where there are none."""
         if self.low is not None and self.high is not None:
             return f"{self.low:g} to {self.high:g}"
         if self.low is not None:
@@ -123,10 +123,10 @@ def setting(
     words: Mapping[str, str] | None = None,
     **bounds: Any,
 ) -> Any:
-    """A field of a settings object, with all that is said of it; see :class:`Described`.
+    """A field of a settings object, with its description; see :class:`Described`.
 
-    flag : "" for that of the name, None for no flag.
-    known : names that a text is offered.
+    flag : "" for the flag made from the field's name, None for no flag.
+    known : values that are offered for a text.
     bounds : ``ge``, ``gt``, ``le`` or ``lt``, as pydantic takes them.
     """
     extra: Any = {
@@ -145,7 +145,7 @@ def setting(
 
 
 def described(model: type[Any]) -> dict[str, Described]:
-    """The settings of a settings object, by name, in its order; without those that say nothing."""
+    """Description of each field of a settings class by name, in order; only described fields."""
     found = {}
     for name, field in model.model_fields.items():
         said = _said(model, name)
@@ -155,7 +155,7 @@ def described(model: type[Any]) -> dict[str, Described]:
 
 
 def _said(model: type[Any], name: str) -> FieldInfo | None:
-    """The field where it is described: of the settings object, or of one that it is made of."""
+    """The field as described in the class itself or its nearest base class; None if nowhere."""
     for one in model.__mro__:
         field: FieldInfo | None = getattr(one, "model_fields", {}).get(name)
         if field is not None and _KEY in _extra(field):
@@ -199,7 +199,7 @@ def _described(name: str, field: FieldInfo, said: FieldInfo) -> Described:
 
 
 def _kind(annotation: Any) -> tuple[Kind, tuple[str, ...], bool]:
-    """What values of a type are, the names among which they are chosen, and whether None is one."""
+    """The kind of a type's values, the names to choose from, and whether None is allowed."""
     of = get_origin(annotation)
     if of is Annotated:
         return _kind(get_args(annotation)[0])

@@ -1,4 +1,4 @@
-"""What a long computation is at. Whoever runs it may listen, and end it there by raising."""
+"""Progress of a long computation. Whoever runs it may listen, and stop it there by raising."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
 def doing(what: str = "") -> None:
-    """Called now and then by what takes long and yields nothing, at least once in a second or so.
+    """Report progress; computations that take long and yield nothing call it about every second.
 
-    what : is being done, for a user; '' for the same as before.
+    what : what is being done, in words for a user; '' for the same as before.
     """
     listener = _LISTENER.get()
     if listener is not None:
@@ -24,7 +24,7 @@ def doing(what: str = "") -> None:
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Hear, in this thread, what is done within."""
+    """Within the block, pass on to the listener what :func:`doing` reports in this thread."""
     before = _LISTENER.set(listener)
     try:
         yield
@@ -33,7 +33,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 
 def heard(items: Iterable[T], listener: Listener) -> Iterator[T]:
-    """The same items; what is done to make each is heard."""
+    """The same items; the listener hears what is reported while each one is made."""
     made = iter(items)
     while True:
         with listening(listener):

@@ -1,8 +1,8 @@
 """How idle threads wait; must be imported before torch.
 
-Those of torch's OpenMP by default spin, and so keep the cores from our own loops: measured 3 to 10
-times slower while another program runs. An environment that sets OMP_WAIT_POLICY itself is left
-alone.
+Idle threads of torch's OpenMP spin by default, and so keep our own loops off the cores: measured 3
+to 10 times slower while another program runs. An environment that sets OMP_WAIT_POLICY itself is
+left alone.
 """
 
 import os

@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 class Kept(Generic[T]):
-    """Results by key, the last few of them; several threads may ask at a time."""
+    """The last few results, by key; several threads may ask at the same time."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -22,7 +22,7 @@ class Kept(Generic[T]):
         return len(self._found)
 
     def get(self, key: Hashable | None, make: Callable[[], T]) -> T:
-        """What was made for a key, or is made now; for None it is made and not kept."""
+        """The result kept for a key, else one made now; for the key None it is not kept."""
         if key is None:
             return make()
         with self._lock:
@@ -34,6 +34,6 @@ class Kept(Generic[T]):
             return self._found[key]
 
     def clear(self) -> None:
-        """Keep nothing."""
+        """Forget all results."""
         with self._lock:
             self._found.clear()

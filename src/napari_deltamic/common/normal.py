@@ -1,7 +1,7 @@
-"""Numbers of the normal distribution."""
+"""Constants of the normal distribution."""
 
-# Standard deviation over the median of distances from the middle, whatever few outliers do: the
-# inverse of the standard normal's upper quartile, 0.67449.
+# Standard deviation over the median distance from the median, which a few outliers do not change:
+# the inverse of the standard normal's upper quartile, 0.67449.
 SIGMA_PER_MEDIAN_DEVIATION = 1.4826
 
 # The median of the square of a standard normal: the square of its upper quartile.

@@ -1,6 +1,7 @@
-"""The same bits for any number of threads, of operations that torch divides among them.
+"""Results that are the same to the last bit for any number of threads.
 
-Products of matrices are: their last digits depend on where they are divided.
+Torch divides some operations among threads, such as matrix products, and their last digits depend
+on where they are divided.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from torch.autograd.function import once_differentiable
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Operations of torch in this thread of Python take no other one."""
+    """Within the block, torch operations of this Python thread use no further threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -26,9 +27,10 @@ def one_thread() -> Iterator[None]:
 
 
 def in_one_thread(function: Callable[..., Tensor], *given: Tensor) -> Tensor:
-    """What a function makes of tensors, and its gradients, in one thread; differentiable once.
+    """The function of these tensors, with value and gradient computed in one thread.
 
-    On other devices than the CPU, which know no such threads, it is called as it is.
+    Differentiable once. On devices other than the CPU, which have no such threads, the function is
+    called as it is.
     """
     if any(one.device.type != "cpu" for one in given):
         return function(*given)
@@ -52,7 +54,7 @@ class _InOneThread(torch.autograd.Function):
         with torch.enable_grad(), one_thread():
             # A product, since a gradient that starts from a tensor loads SymPy: half a second.
             total = (ctx.found * pull[0].conj()).real.sum()
-            # A caller may ask again, and what is kept is freed with ctx.
+            # A caller may ask again; what is retained is freed together with ctx.
             given = torch.autograd.grad(total, asked, retain_graph=True, allow_unused=True)
         found = iter(given)
         return (None, *(next(found) if one.requires_grad else None for one in ctx.leaves))

@@ -1,4 +1,4 @@
-"""Texts that others wrote: bounded, and whatever is wrong with them told in one line."""
+"""Reading text files from elsewhere: with a limit on size, and every fault named in one line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import InputError
 
 # Lists within lists take up to 30 times as much memory as their text.
-LARGEST_TEXT = 1 << 24  # bytes: no settings or table of ours has more, others could fill memory
+LARGEST_TEXT = 1 << 24  # bytes: more than any settings or table of ours; more could fill memory
 
 
 def read_text(path: str | Path) -> str:
@@ -25,7 +25,8 @@ def read_text(path: str | Path) -> str:
     Raises
     ------
     InputError
-        Naming the file: missing, unreadable, longer than ``LARGEST_TEXT`` bytes, no text.
+        If the file is missing, unreadable, longer than ``LARGEST_TEXT`` bytes, or not text; names
+        the file.
     """
     try:
         with Path(path).open("rb") as stream:
@@ -43,7 +44,7 @@ def read_text(path: str | Path) -> str:
 
 @contextmanager
 def reading(what: str, path: str | Path) -> Iterator[None]:
-    """An InputError says what could not be read, and from where."""
+    """Within the block, an InputError is extended by what could not be read, and from where."""
     try:
         yield
     except InputError as error:
@@ -52,25 +53,25 @@ def reading(what: str, path: str | Path) -> Iterator[None]:
 
 
 def toml_values(text: str) -> dict[str, Any]:
-    """What a TOML document says. InputError where it is none, or too deep."""
+    """The values in a TOML document; InputError if it is not valid, or nested too deeply."""
     found: dict[str, Any] = _values(text, tomllib.loads)
     return found
 
 
 def json_values(text: str) -> Any:
-    """What a JSON document says. InputError where it is none, or too deep."""
+    """The values in a JSON document; InputError if it is not valid, or nested too deeply."""
     return _values(text, json.loads)
 
 
 def one_reason(error: BaseException) -> str:
-    """What an error says, in one short line."""
+    """The message of an error in one short line."""
     said = f"there is no {error}" if isinstance(error, KeyError) else str(error)
     return " ".join(said.split())[:200] or type(error).__name__
 
 
 @contextmanager
 def quiet(*loggers: str) -> Iterator[None]:
-    """No remarks of these libraries, nor of NumPy: what matters becomes an error."""
+    """Silence log messages of these loggers, and all warnings: what matters becomes an error."""
     found = [logging.getLogger(name) for name in loggers]
     levels = [logger.level for logger in found]
     for logger in found:

@@ -15,7 +15,7 @@ Row = Mapping[str, Value]
 
 _DIGITS = ".9g"  # more than any of the numbers is worth; the same text on every machine
 
-# The ends of names; of several that fit, the first one counts.
+# Endings of names; where several fit, the first one counts.
 _UNITS = {
     "_per_um3": "1/um^3",
     "_per_um2": "1/um^2",
@@ -31,8 +31,8 @@ _UNITS = {
 class Column:
     """One column of a table.
 
-    name : with the unit at its end.
-    meaning : what it is and how it is computed, in a line.
+    name : ends with the unit.
+    meaning : what it is and how it is computed, in one line.
     """
 
     name: str
@@ -40,12 +40,12 @@ class Column:
 
     @property
     def unit(self) -> str:
-        """As the end of the name says; "" for pure numbers, names and words."""
+        """The unit that the ending of the name gives; "" for pure numbers, names and words."""
         return next((unit for end, unit in _UNITS.items() if self.name.endswith(end)), "")
 
 
 def columns(text: str) -> tuple[Column, ...]:
-    """Columns from lines such as ``area_um2: of the wall``; indented lines go on with the last."""
+    """Columns from lines such as ``area_um2: of the wall``; indented lines continue the last."""
     blocks = re.split(r"\n(?! )", inspect.cleandoc(text))
     parts = (block.partition(": ") for block in blocks)
     return tuple(Column(name, " ".join(meaning.split())) for name, _, meaning in parts)
@@ -55,9 +55,9 @@ def columns(text: str) -> tuple[Column, ...]:
 class Table:
     """Rows of numbers and words; None where there is no number, and then the note says why.
 
-    name : of the table: cells, walls or junctions.
+    name : what the rows are: cells, walls or junctions.
     columns : in the order in which they are written.
-    rows : one mapping each, with the names of the columns; no NaN.
+    rows : one mapping from column name to value each; no NaN.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Table:
     rows: tuple[Row, ...]
 
     def to_csv(self) -> str:
-        """The table as text: a header, empty cells for None, always the same for equal rows."""
+        """The table as CSV: a header, empty cells for None; equal rows give equal text."""
         return csv_text([c.name for c in self.columns], self.rows)
 
     def values(self, name: str) -> list[Value]:
@@ -74,7 +74,7 @@ class Table:
 
 
 def table_of(name: str, columns: Sequence[Column], rows: Iterable[Row]) -> Table:
-    """A table whose rows have every column; what is not finite becomes None."""
+    """A table with these columns from rows that may lack some; None for what is not finite."""
     names = [column.name for column in columns]
     kept = tuple({key: _known(row.get(key)) for key in names} for row in rows)
     return Table(name, tuple(columns), kept)
@@ -91,7 +91,7 @@ def csv_text(names: Sequence[str], rows: Iterable[Mapping[str, Value]]) -> str:
 
 
 def notes(*reasons: str) -> str:
-    """Reasons joined to one note, each once."""
+    """Reasons joined into one note, each once."""
     return "; ".join(dict.fromkeys(reason for reason in reasons if reason))
 
 
@@ -109,7 +109,7 @@ def _shown(value: Value) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
-    """Columns of text, the given ones to the left, the others to the right."""
+    """Rows as lines of text in columns; those in ``left`` are flush left, others flush right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for row in rows:

@@ -1,4 +1,4 @@
-"""Documents as TOML writes them: an array, and a table within a table, on one line."""
+"""TOML documents; an array, or a table within a table, is written on one line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..errors import InputError
 
 
 def toml_document(values: Mapping[str, Any]) -> str:
-    """Plain values as a document; what is None is left out.
+    """Plain values as a TOML document; None is left out.
 
     Raises InputError for a text that no file can hold.
     """
@@ -24,7 +24,7 @@ def toml_document(values: Mapping[str, Any]) -> str:
 
 
 def _is_table(value: Any) -> bool:
-    """Whether it is a table, or several."""
+    """Whether a value is a table, or a list of tables."""
     return isinstance(value, dict) or (
         isinstance(value, (list, tuple)) and any(isinstance(one, dict) for one in value)
     )

@@ -12,11 +12,11 @@ Triple = tuple[float, float, float]
 
 
 def triple(values: Iterable[Any]) -> Triple:
-    """Z, Y, X as plain numbers."""
+    """Three values (Z, Y, X) as a tuple of plain floats."""
     z, y, x = (float(v) for v in values)
     return z, y, x
 
 
 def geometric_mean(sides: Sequence[float] | NDArray[Any]) -> float:
-    """One length for three, such as those of a voxel or the widths of a PSF along Z, Y, X."""
+    """One length in place of three, such as a voxel's sides or a PSF's widths along Z, Y, X."""
     return float(np.prod(sides)) ** (1 / len(sides))

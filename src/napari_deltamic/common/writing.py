@@ -23,23 +23,24 @@ from typing import Any
 from ..errors import InputError
 
 _TEMPORARY = re.compile(r"\.deltamic-([0-9a-f]{8})-(\d+)-[0-9a-f]{16}\.tmp")
-_FORGOTTEN = 86400.0  # s; how old one is that nobody writes any more, where processes are not known
+_FORGOTTEN = 86400.0  # s: age of an abandoned temporary file, where processes cannot be asked for
 _LOCK = ".deltamic.lock"
 
-# Those that are to replace others at the end, and what; None: each at once.
+# Temporary files and the targets they replace at the end; None: each file at once.
 _together: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("_together", default=None)
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
     """Write a file under another name in the same folder, then rename it.
 
-    A reader never sees half a file. A file that is replaced keeps its permissions, a link stays
-    one.
+    A reader never sees half a file. A file that is replaced keeps its permissions; a link stays a
+    link.
 
     Raises
     ------
     InputError
-        If it cannot be written, or is there and no file. What was there is then as before.
+        If it cannot be written, or the path exists and is not a file. What was there is then
+        unchanged.
     """
     path = Path(path)
     try:
@@ -63,14 +64,14 @@ def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
 
 @contextmanager
 def written_together(last: str | os.PathLike[str]) -> Iterator[None]:
-    """Files written meanwhile replace others at the end, all of them or none.
+    """Files written within the block replace older ones at its end, all of them or none.
 
     Parameters
     ----------
     last
-        Path of the file, one of them, that tells of the others: an old one is gone before the
-        first is replaced, the new one comes after all others. So it never lies beside files that
-        it does not tell of, whenever the process is killed.
+        Path of the one file that describes the others: its old version is removed before the first
+        file is replaced, its new version comes after all others. So whenever the process is killed,
+        it never lies beside files that it does not describe.
 
     Raises
     ------
@@ -97,12 +98,12 @@ def written_together(last: str | os.PathLike[str]) -> Iterator[None]:
 
 @contextmanager
 def folder_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A folder to write to that takes the place of another one at the end, whole.
+    """A folder to write to; at the end it takes the place of the one at ``path`` as a whole.
 
     Raises
     ------
     InputError
-        If it cannot be written. What was there is then as before.
+        If it cannot be written. What was there is then unchanged.
     """
     path = Path(path)
     aside = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
@@ -120,7 +121,7 @@ def folder_atomically(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Ctrl-C takes effect only afterwards. Of use in the main thread; elsewhere it never comes."""
+    """Hold Ctrl-C back until the end of the block; it only ever reaches the main thread."""
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before is None:
         yield
@@ -136,7 +137,7 @@ def interrupts_held() -> Iterator[None]:
 
 
 def make_folder(folder: str | os.PathLike[str]) -> None:
-    """Make a folder, with those above it. Raises InputError if that, or writing to it, fails."""
+    """Make a folder and its parents; InputError if that, or writing to it, fails."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -147,15 +148,15 @@ def make_folder(folder: str | os.PathLike[str]) -> None:
 
 @contextmanager
 def own_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
-    """Make a folder, and have it to oneself as long as one writes to it.
+    """Make a folder, and lock it against other runs within the block.
 
-    What a killed process left half written goes; so does the folder, if it was made and nothing
-    came to be in it.
+    Files that a killed process left half written are removed; so is the folder at the end, if it
+    was made here and is still empty.
 
     Raises
     ------
     InputError
-        If it cannot be made or written to, or another run writes to it.
+        If it cannot be made or written to, or another run is writing to it.
     """
     folder = Path(folder)
     made = not folder.exists()
@@ -173,7 +174,10 @@ def own_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def _locked(folder: Path) -> int | None:
-    """An open file, whose lock the system lifts when the process ends; None where it has none."""
+    """Descriptor of a locked file, which the system unlocks when the process ends.
+
+    None where the file system has no locks. InputError if another run holds the lock.
+    """
     busy = InputError(f"{folder}: another run writes its results there")
     if sys.platform == "win32":
         try:
@@ -198,7 +202,7 @@ def _locked(folder: Path) -> int | None:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what killed processes of this machine left half written."""
+    """Remove files that killed processes on this machine left half written."""
     for path in folder.glob(".deltamic-*.tmp"):
         match = _TEMPORARY.fullmatch(path.name)
         if match and match[1] == _machine() and not _runs(int(match[2]), path):

@@ -17,13 +17,13 @@ _PLAIN = {
 
 
 def first_wrong_value(error: ValidationError, *, skip: int = 0) -> str:
-    """One line on the first thing that is wrong: where it is, and why it cannot be.
+    """One line on the first wrong value: where it is, and what is wrong with it.
 
     Parameters
     ----------
-    skip : so many names of the place are left out, from its beginning.
+    skip : how many leading names of its location to leave out.
     """
-    # A name that is spelt wrong explains the right one that is missing.
+    # A misspelt name explains why the right one is missing, so it comes first.
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     where = ".".join(str(part) for part in first["loc"][skip:])
     reason = _PLAIN.get(first["type"], str(first["msg"]))

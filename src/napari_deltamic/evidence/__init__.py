@@ -1,4 +1,4 @@
-"""What an image calls for: evidence for effects, their price, and what a fit left unexplained."""
+"""What an image calls for: evidence for effects, their cost, and what a fit left unexplained."""
 
 from .recommend import Evidence, Recommendation, recommend, recommend_for
 from .residual import Residual, analyse_residual

@@ -1,11 +1,10 @@
 """What an image tells about its camera: gain, read noise, offset, saturation.
 
-The variance of a voxel that a camera counted is ``gain * (mean - offset) + read_noise^2`` (the
-photon transfer curve of J. Janesick). One image suffices: a filter that hardly lets a band-limited
-structure pass leaves the noise, its squares are averaged over voxels of like brightness, and the
-line through these averages has the gain as its slope. The line alone cannot tell light that is
-everywhere from an offset. Light is skewed and read noise is not, so the third cumulant of the dark
-voxels can.
+The variance of a camera's voxel is ``gain * (mean - offset) + read_noise^2`` (the photon transfer
+curve of J. Janesick). One image suffices: a filter that suppresses band-limited structures leaves
+the noise, its squares are averaged over voxels of similar brightness, and the slope of the line
+through these averages is the gain. The line alone cannot tell uniform light from an offset. The
+third cumulant of the dark voxels can, since photon noise is skewed and read noise is not.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from .evidence_rules import CAMERA
 
 _SECOND = np.array([1.0, -2.0, 1.0]) / sqrt(6)  # along each axis, so that what is left of smooth
 _SQUARES = _SECOND**2  # parts is of sixth order; means with these weights are those of what is left
-# How many voxels share one independent square: by definition the sum of squared autocorrelations of
-# the filter, 1, -2/3 and 1/6 along each axis.
+# Number of voxels per independent square: by definition the sum of squared autocorrelations of the
+# filter, 1, -2/3 and 1/6 along each axis.
 _SHARED = (1 + 2 * (4 / 9 + 1 / 36)) ** 3
 _WHITE = -2 / 3  # of neighbours in filtered white noise, whose autocorrelation this is
 
@@ -33,8 +32,7 @@ _WHITE = -2 / 3  # of neighbours in filtered white noise, whose autocorrelation 
 class NoiseLine:
     """Variance of a voxel = ``slope * mean + intercept``, in the units of the image.
 
-    The weights of a fit need nothing else; where the values are a camera's counts the slope is its
-    gain.
+    The weights of a fit need nothing else; if the values are camera counts, the slope is the gain.
     """
 
     slope: float
@@ -63,8 +61,8 @@ class Camera:
     saturation
         The value at which bright voxels were cut.
     line
-        Variance against mean, where they are related as those of a camera are; also for images that
-        were rescaled, whose values are no counts, and for dim ones, which do not tell the gain.
+        Variance against mean, if they are related as in a camera's image; also for rescaled images,
+        whose values are not counts, and for dim ones, which do not tell the gain.
     """
 
     gain: Finding
@@ -82,7 +80,7 @@ def camera_from_image(image: np.ndarray, known: np.ndarray | None = None) -> Cam
     image
         (Z, Y, X) as the file holds it; what is not finite is left out.
     known
-        (Z, Y, X) bool: voxels to go by.
+        (Z, Y, X) bool: voxels to use; all by default.
     """
     pixels = np.asarray(image)
     finite = np.isfinite(pixels)
@@ -122,7 +120,7 @@ def camera_from_image(image: np.ndarray, known: np.ndarray | None = None) -> Cam
 
 
 def failed_slices(pixels: np.ndarray) -> tuple[int, ...]:
-    """Slices along z of one value only: the camera missed them, or a registration filled them."""
+    """Indices of slices with a single value, which the camera missed or registration filled."""
     flat = pixels.reshape(len(pixels), -1)
     return tuple(int(k) for k in np.flatnonzero(flat.min(1) == flat.max(1)))
 
@@ -139,20 +137,20 @@ def _unusable(pixels: np.ndarray, finite: np.ndarray) -> str:
 
 
 def _middle(shape: tuple[int, ...]) -> tuple[slice, ...]:
-    """The middle of a stack that is larger than what needs to be looked at."""
+    """Slices of the middle of a stack, no larger than needs to be looked at."""
     share = min(1.0, (CAMERA.looked_at / float(np.prod(shape))) ** 0.5)
     kept = [shape[0], *(max(5, int(n * share)) for n in shape[1:])]
     return tuple(slice((n - k) // 2, (n - k) // 2 + k) for n, k in zip(shape, kept, strict=True))
 
 
 def _ends(values: np.ndarray) -> tuple[Finding, float | None]:
-    """Where bright and dark voxels were cut: more of them than the values next to it lead on to."""
+    """Values at which bright and dark voxels were cut: these are suspiciously frequent."""
     levels, counts = np.unique(values, return_counts=True)
     full, top = saturation(values), int(counts[-1])
     high = unknown("no values pile up at the maximum")
     if full is not None:
         high = Finding(full, 0.0, f"{top} voxels have exactly the largest value")
-    # Few photons a voxel also pile up at zero, but then every next value is rarer in proportion.
+    # Few photons per voxel also pile up at zero, but then each next value is rarer in proportion.
     first, second, third = (float(c) for c in counts[:3])
     many = first > CAMERA.cut_share * values.size and first > CAMERA.over_next * second
     cut = many and first / second > CAMERA.falls * second / third
@@ -160,7 +158,7 @@ def _ends(values: np.ndarray) -> tuple[Finding, float | None]:
 
 
 def _filtered(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The noise that a third of second differences leaves, and the mean of what it is made from."""
+    """Noise that second differences along each axis leave, and the mean of the voxels used."""
     noise, mean = values, values
     for axis in range(3):
         noise = correlate1d(noise, _SECOND.astype(np.float32), axis)
@@ -169,7 +167,7 @@ def _filtered(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str]:
-    """The line through the variances of voxels of like brightness; else the reason."""
+    """The line through the variances of voxels of similar brightness, or None and the reason."""
     noise, mean = _filtered(values)
     whole = minimum_filter(usable, size=3, mode="constant", cval=0)
     if whole.sum() < 4096:
@@ -184,8 +182,8 @@ def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str
             "the noise of neighbouring voxels is correlated: the image was filtered, resampled "
             "or deconvolved"
         )
-    # Sorted by what lies around, whose noise is not that of the mean: sorted by the mean itself,
-    # read noise would spread the bins and flatten the line.
+    # Sorted by the surroundings, whose noise is independent of the mean: if sorted by the mean
+    # itself, read noise would spread the bins and flatten the line.
     around = (125 * uniform_filter(values, 5) - 27 * uniform_filter(values, 3))[whole] / 98
     n, x, v = _binned(around, m, r)
     if len(n) < 4:
@@ -197,9 +195,9 @@ def _line(values: np.ndarray, usable: np.ndarray) -> tuple[NoiseLine | None, str
 
 
 def _neighbours(noise: np.ndarray, whole: np.ndarray, axis: int) -> float:
-    """Correlation of the filtered noise at neighbours along an axis, as signs tell it.
+    """Correlation of the filtered noise of neighbours along an axis, from its signs.
 
-    Signs are the same for dark and bright voxels; their correlation is 2/pi asin(rho).
+    Signs are alike in dark and bright voxels; their correlation is 2/pi asin(rho).
     """
     first = tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))
     second = tuple(slice(1, None) if a == axis else slice(None) for a in range(3))
@@ -213,7 +211,7 @@ def _binned(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Number of voxels, mean and mean square of the noise in bins of the brightness around."""
     low, high = np.quantile(around, CAMERA.levels)
-    # Even in the square root of brightness: there counted photons spread alike.
+    # Even in the square root of brightness, where photon counts scatter equally.
     edges = low + (high - low) * np.linspace(0, 1, CAMERA.bins + 1) ** 2
     which = np.digitize(around, edges) - 1
     found = []
@@ -223,7 +221,7 @@ def _binned(
         if n < CAMERA.fewest:
             continue
         r = noise[inside].astype(np.float64)
-        # Structure finer than the PSF (hot voxels) is cut, the tails of the noise are not.
+        # This clips structure finer than the PSF (hot voxels), but not the tails of the noise.
         limit = 5 * SIGMA_PER_MEDIAN_DEVIATION * np.median(np.abs(r)) + 1e-30
         square = float((np.clip(r, -limit, limit) ** 2).mean())
         found.append((n, float(mean[inside].mean()), square))
@@ -232,7 +230,7 @@ def _binned(
 
 
 def _weighted_line(x: np.ndarray, v: np.ndarray, n: np.ndarray) -> tuple[float, float, float]:
-    """Slope, intercept and error of the slope; variances scatter in proportion to themselves."""
+    """Slope, intercept and error of the slope; variances scatter in proportion to their size."""
     model = np.full_like(v, np.average(v, weights=n))
     for _ in range(8):
         w = n / (2 * _SHARED * model**2)
@@ -242,7 +240,7 @@ def _weighted_line(x: np.ndarray, v: np.ndarray, n: np.ndarray) -> tuple[float, 
         intercept = float(np.average(v, weights=w) - slope * middle)
         least = CAMERA.flattest * np.minimum(v.min(), model.min())
         model = np.maximum(slope * x + intercept, least + 1e-300)
-    # Where the line does not hold (structure, a camera's own noise) the scatter says so.
+    # Where the line does not hold (structure, other noise of a camera), the scatter shows it.
     excess = max(1.0, float((w * (v - slope * x - intercept) ** 2).sum()) / max(len(x) - 2, 1))
     return slope, intercept, sqrt(excess / max(spread, 1e-300))
 
@@ -258,9 +256,9 @@ def _rescaled(pixels: np.ndarray, finite: np.ndarray) -> bool:
 
 
 def _dark_voxels(values: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) dark voxels, and the same less the mean around each.
+    """(n,) values of dark voxels, and the same minus the mean around each.
 
-    A voxel is dark by its neighbours, not by itself, so that the noise of those chosen is not cut.
+    Neighbours decide whether a voxel is dark, so that the noise of those chosen is not cut.
     """
     width = 2 * CAMERA.dark_radius + 1
     n = width**3
@@ -276,7 +274,7 @@ def _dark_voxels(values: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np
 
 
 def mode(values: np.ndarray) -> float:
-    """The half-sample mode: the shortest half, again and again (D. Bickel, R. Fruhwirth, 2006)."""
+    """The half-sample mode: repeatedly the shortest half (D. Bickel, R. Fruhwirth, 2006)."""
     ordered = np.sort(values.ravel())
     if len(ordered) > 200_000:
         ordered = ordered[:: len(ordered) // 200_000]
@@ -288,7 +286,7 @@ def mode(values: np.ndarray) -> float:
 
 
 def _dark(values: np.ndarray, usable: np.ndarray, line: NoiseLine) -> tuple[Finding, Finding]:
-    """Read noise and offset, with what light there is in the dark parts taken away."""
+    """Read noise and offset, from dark parts and corrected for the light in them."""
     dark, d = _dark_voxels(values, usable)
     if len(d) < CAMERA.fewest_dark:
         nothing = unknown("the image has no dark part")
@@ -320,7 +318,7 @@ def _dark(values: np.ndarray, usable: np.ndarray, line: NoiseLine) -> tuple[Find
 
 
 def _level(values: np.ndarray, finite: np.ndarray, low: float | None) -> Finding:
-    """The level of the dark parts, where the noise says nothing about light in them."""
+    """The level of the dark parts, for images whose noise does not tell how much light is in it."""
     if low is not None:
         return unknown(f"dark voxels were cut at {low:g}")
     dark, _ = _dark_voxels(values, finite)

@@ -1,4 +1,4 @@
-"""The effects that are considered, each at the numbers with which it changes nothing."""
+"""The effects that are considered, each with the numbers at which it changes nothing."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ CONSIDERED = tuple(
 
 
 def chosen_candidates(names: Sequence[str] | None, present: Effects) -> tuple[str, ...]:
-    """Names of the effects to consider, without those that are present.
+    """Names of the effects to consider (None: all), without those already present.
 
     Raises
     ------
     InputError
-        If one is unknown, or cannot be judged by one image.
+        If one is unknown, or cannot be judged from one image.
     """
     for name in names or ():
         if name in KINDS and KINDS[name].needs_data:
@@ -43,7 +43,7 @@ def chosen_candidates(names: Sequence[str] | None, present: Effects) -> tuple[st
 
 
 def variants(name: str, optics: Optics) -> list[Effect]:
-    """The effect where it changes nothing; several where its derivative depends on how."""
+    """The effect where it changes nothing; several, for each width tried, if it has widths."""
     found = [KINDS[name].neutral()]
     base = float(np.mean(optics.sigma_um[1:]))
     for field, tried in KINDS[name].tried_widths.items():
@@ -54,16 +54,16 @@ def variants(name: str, optics: Optics) -> list[Effect]:
 
 
 def allowed(effect: Effect, present: Effects) -> bool:
-    """Whether no effect that is present passes for it."""
+    """Whether neither the effect itself nor one that could pass for it is present."""
     return effect.name not in present.names and not any(
         other in present.names for other in effect.contradicts
     )
 
 
 def points_inwards(effect: Effect, estimate: np.ndarray) -> bool:
-    """Whether an estimate is one that the effect can take: light is not negative.
+    """Whether an effect's bounds allow a step towards the estimate: light is not negative.
 
-    An effect without numbers is there or not: whichever is nearer.
+    An effect without numbers is there or not, whichever is nearer.
     """
     if not effect.bounds:
         return bool(estimate[0] > 0.5)
@@ -74,14 +74,14 @@ def points_inwards(effect: Effect, estimate: np.ndarray) -> bool:
 
 
 def beyond_bounds(effect: Effect) -> bool:
-    """Whether a number ended at its bound: the effect then stands for something else."""
+    """Whether a number of the effect is at its bound: it then stands for something else."""
     if not effect.bounds:
         return False
     return any(bool(at.any()) for at in effect.at_bounds())
 
 
 def at_estimate(effect: Effect, estimate: np.ndarray) -> Effect:
-    """The effect with its numbers changed by the estimate, as far as they may be."""
+    """The effect with its numbers changed by the estimate, as far as their bounds allow."""
     if not effect.bounds:
         return effect
     return effect.with_parameters(effect.parameters() + _tensor(estimate))

@@ -1,8 +1,7 @@
-"""Checks of one cell: each looks at one thing that is known of it, and returns a reason or None.
+"""Checks of one cell: each looks at one fact about it, and returns a reason or None.
 
-What is known is measured elsewhere (:class:`~.facts.CellFacts` says where), and the numbers that
-decide are with :mod:`.verdict_rules`. Reasons are told in the order of ``CELL_CHECKS``. What is not
-a number is no reason.
+The facts are measured elsewhere (:class:`~.facts.CellFacts` says where), and the thresholds are in
+:mod:`.verdict_rules`. Reasons are told in the order of ``CELL_CHECKS``. NaN is never a reason.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _PARTS = {
 
 
 def _unseen(cell: CellFacts, fit: Facts) -> Reason | None:
-    """Where the image is missing, or else is left to other objects."""
+    """Where the image is missing at its surface, or else left to other objects."""
     if cell.seen < RULES.seen:
         text = f"the image is missing at {1 - cell.seen:.0%} of its surface: what lies there is a"
         return Reason("missing", fair_if(cell.seen >= RULES.unseen), f"{text} guess")
@@ -41,7 +40,7 @@ def _unseen(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _off(cell: CellFacts, fit: Facts) -> Reason | None:
-    """The predicted error of its shape, in voxels."""
+    """Whether the predicted error of its shape, in voxels, is too large."""
     predicted = fit.error.cells.get(cell.region)
     off = 0.0 if predicted is None else predicted.total / fit.voxel
     if predicted is None or off <= RULES.error_good:
@@ -134,7 +133,7 @@ def _crumpled(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _growth(cell: CellFacts, fit: Facts) -> Reason | None:
-    """Beside that of the others."""
+    """Growth relative to that of the other cells."""
     growth = 1.0 if cell.growth is None else cell.growth / fit.usual_growth
     if growth > RULES.grown:
         text = f"it has grown to {growth:.2g} times its volume: has it swallowed a neighbour?"
@@ -159,7 +158,7 @@ def _crowded(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _dented(cell: CellFacts, fit: Facts) -> Reason | None:
-    """By a thin dent, or else a fold."""
+    """Whether it has a thin dent, or else a fold."""
     if cell.dent is not None:
         text = f"a thin dent reaches to {_um(cell.dent.end)}: is something bright there, inside the"
         text += " cell, or two cells under one label?" if cell.dent.wall else " cell?"

@@ -1,4 +1,4 @@
-"""The voxels of single cells, in which what is thin is looked for."""
+"""The voxels of single cells, in which thin parts are looked for."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class CellVoxels:
     region
         The cell.
     own
-        (Z, Y, X) bool: those of it.
+        (Z, Y, X) bool: voxels of the box that belong to the cell.
     first
         (3,) indices of the first voxel of the box in the grid; below 0 where it reaches beyond.
     grid
-        Of the image.
+        Grid of the image.
     """
 
     region: int
@@ -38,14 +38,14 @@ class CellVoxels:
     def at(
         self, values: NDArray[np.floating], places: NDArray[np.floating]
     ) -> NDArray[np.floating]:
-        """(n,) of values (Z, Y, X) of the box, those of the voxels nearest to places, um."""
+        """(n,) values at the voxels nearest to places (n, 3) um; values : (Z, Y, X) of the box."""
         index = voxels_at(places, self.grid) - self.first
         found: NDArray[np.floating] = values[tuple(np.clip(index, 0, np.array(values.shape) - 1).T)]
         return found
 
 
 def cell_voxels(mesh: Mesh, grid: Grid, around: int) -> Iterator[CellVoxels]:
-    """Those of each cell that holds the centre of one, with so many more to each side."""
+    """Voxels of each cell that holds the centre of one, in a box with ``around`` more per side."""
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     for region, box in label_boxes(labels):
         own = np.pad(labels[box] == region, around)
@@ -53,5 +53,5 @@ def cell_voxels(mesh: Mesh, grid: Grid, around: int) -> Iterator[CellVoxels]:
 
 
 def voxels_at(places: NDArray[np.floating], grid: Grid) -> NDArray[np.signedinteger]:
-    """(n, 3) indices of the voxels nearest to places, um; also beyond the image."""
+    """(n, 3) indices of the voxels nearest to places (n, 3) um, even beyond the image."""
     return np.rint((places - np.asarray(grid.origin)) / np.asarray(grid.voxel_size)).astype(int)

@@ -1,4 +1,4 @@
-"""Whether the intensities of an image are logarithms of what a camera counted."""
+"""Whether the intensities of an image are logarithms of camera counts."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from ..images.missing import filled
 
 @dataclass(frozen=True)
 class CompressedRules:
-    """When noise falls where an image is brighter, as that of no camera does.
+    """When noise decreases with brightness, which no camera's does.
 
     Attributes
     ----------
     smoothed
-        Voxels in the plane; chosen: about a PSF, so that brightness is told without the noise that
-        is asked of it.
+        Width of the blur in the plane, voxels; chosen: about a PSF, so that brightness is told
+        without the noise that is compared with it.
     dark, bright
-        Percentiles of brightness; chosen: most stacks are dark to more than the first.
+        Percentiles of brightness; chosen: in most stacks more voxels than the first are dark.
     least
-        Of the noise where it is bright over that where it is dark. Measured: 1.2 and more in real
+        Least ratio of noise in bright parts to that in dark parts. Measured: 1.2 and more in real
         stacks and in all kinds of ``benchmarks.defaults``, 0.99 to 1.17 after a square root, which
         a camera's own noise may look like, and 0.31 to 0.46 after a logarithm.
     white
-        Of fourth over second differences in the dark; chosen: white noise gives (70 / 6)^(1/2),
-        that of an image smoothed by a Gaussian of 0.8 voxels 2.3; without noise they are those of
-        structures, which tell nothing.
+        Least ratio of fourth to second differences in the dark; chosen: white noise gives
+        (70 / 6)^(1/2), that of an image smoothed by a Gaussian of 0.8 voxels 2.3; without noise,
+        differences are those of structures, which tell nothing.
     fewest
-        Voxels of either; chosen, so that their mean noise is known to a tenth.
+        Voxels needed of either; chosen, so that their mean noise is known to a tenth.
     most
-        Voxels that are looked at, about, in whole slices; chosen: more would take longer than a
-        second.
+        Approximate number of voxels to look at, in whole slices; chosen: more would take longer
+        than a second.
     """
 
     smoothed: float = 1.5
@@ -52,11 +52,11 @@ _SECOND, _FOURTH = (1.0, -2.0, 1.0), (1.0, -4.0, 6.0, -4.0, 1.0)
 
 
 def compressed(image: NDArray[np.floating]) -> bool:
-    """Whether the noise of an image (Z, Y, X) falls where it is bright; NaN where it is missing.
+    """Whether the noise of an image (Z, Y, X; NaN where missing) is smaller where it is bright.
 
-    The variance of photons and of a camera grows with brightness, or stays; a logarithm turns that
-    round. Noise is told by second differences along X; what else there is makes them larger where
-    the image is bright. Voxels at the largest value, which may be cut off, do not count.
+    The variance of photons and of a camera grows with brightness, or stays the same; a logarithm
+    reverses that. Noise is measured by second differences along X; structures make them larger
+    where the image is bright. Voxels at the largest value, which may be cut off, do not count.
     """
     return (ratio := bright_over_dark(image)) is not None and ratio < RULES.least
 

@@ -20,9 +20,9 @@ class Crop:
     Attributes
     ----------
     grid
-        Of the piece.
+        Grid of the piece.
     box
-        Slices of the whole image that it is.
+        Slices that cut it out of the whole image.
     mesh, density
         Surfaces of the cells in or near it; (F,) relative density, None where uniform.
     cells
@@ -52,9 +52,9 @@ def crop_of(
     usable
         (Z, Y, X) bool.
     grid, mesh, density
-        Of the fit.
+        Those of the fit.
     width
-        (3,) um: standard deviations of the PSF.
+        (3,) standard deviations of the PSF, um.
     """
     every = mesh.region_ids()
     every = every[every != 0]
@@ -91,7 +91,7 @@ def _central(mesh: Mesh, regions: np.ndarray, grid: Grid) -> np.ndarray:
 
 
 def _distance(mesh: Mesh, regions: np.ndarray, grid: Grid, spacing: np.ndarray) -> np.ndarray:
-    """(Z, Y, X) widths of the PSF to the surfaces of some regions; infinite where none is seen."""
+    """(Z, Y, X) distance to the surfaces of some regions; infinite if none lies in the image."""
     faces = np.isin(mesh.regions, regions).any(1)
     kept = Mesh(mesh.vertices_numpy(), mesh.faces[faces], mesh.regions[faces])
     surface = surface_voxels(kept, grid)
@@ -102,7 +102,7 @@ def _distance(mesh: Mesh, regions: np.ndarray, grid: Grid, spacing: np.ndarray) 
 
 
 def _box(found: np.ndarray) -> tuple[slice, slice, slice]:
-    """The smallest box with all voxels that are found."""
+    """The smallest box that holds all True voxels."""
     ends = []
     for axis in range(3):
         some = np.flatnonzero(found.any(tuple(a for a in range(3) if a != axis)))
@@ -113,7 +113,7 @@ def _box(found: np.ndarray) -> tuple[slice, slice, slice]:
 def _near_piece(
     mesh: Mesh, density: np.ndarray | None, piece: Grid, margin: np.ndarray
 ) -> tuple[Mesh, np.ndarray | None]:
-    """The regions that reach near a piece; a wall to one left out keeps both its membranes."""
+    """The mesh of regions that reach near a piece, and its density; walls to others keep theirs."""
     first, last = piece.extent
     v, kept = mesh.vertices_numpy(), [0]
     regions = mesh.region_ids()

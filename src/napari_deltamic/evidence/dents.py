@@ -1,4 +1,4 @@
-"""Thin dents of cells: what a surface makes of something bright inside, near it."""
+"""Thin dents of cells, which surfaces form towards something bright inside the cell."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from .outgrowths import RULES as OUTGROWTHS
 
 @dataclass(frozen=True)
 class DentRules:
-    """What counts as one; in widths of the PSF, axis by axis, but at least in voxels.
+    """What counts as a dent; in widths of the PSF along each axis, but at least a voxel each.
 
     Attributes
     ----------
     thin
-        Half its thickness, at most: as of an outgrowth.
+        Largest half thickness: as for an outgrowth.
     depth
-        How deep in the cell it ends, at least; as an outgrowth is long. Measured: up to 1.2 in some
-        200 simulated cells that are right (benchmarks.defaults); 4.6 to 6.4 in ten cells whose
-        surfaces had been drawn onto bright spots inside.
+        Least depth in the cell at which it ends: as the length of an outgrowth. Measured: up to 1.2
+        in some 200 simulated cells that are right (benchmarks.defaults); 4.6 to 6.4 in ten cells
+        whose surfaces had been drawn onto bright spots inside.
     wall
-        Widths squared, of both sides, deeper than ``thin``, from which on it may be drawn along a
-        wall; as a fin is large. Measured: 109 in a cell whose label held two, 2 to 11 in three
-        others with dents.
+        Area of both sides deeper than ``thin``, widths squared, from which on it may follow a wall:
+        as for a fin. Measured: 109 in a cell whose label held two, 2 to 11 in three others with
+        dents.
     """
 
     thin: float = OUTGROWTHS.thin
@@ -47,7 +47,7 @@ class Dent:
     Attributes
     ----------
     end
-        um, Z Y X.
+        Where it ends, um, Z Y X.
     wall
         Whether it is as wide as where a wall between two cells draws the surface in.
     """
@@ -57,10 +57,10 @@ class Dent:
 
 
 def dents(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, Dent]:
-    """The deepest thin dent of each cell; cells without are left out.
+    """The deepest thin dent of each cell; cells without one are left out.
 
-    Vertices deep inside of the cell once all that is thin is filled: a dent may be thinner than a
-    voxel.
+    It is found by vertices that lie deep inside the cell once everything thin is filled, since a
+    dent may be thinner than a voxel.
     """
     size = np.asarray(grid.voxel_size)
     spacing = np.minimum(size / np.asarray(optics.sigma_um), 1.0)

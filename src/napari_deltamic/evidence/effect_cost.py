@@ -15,29 +15,29 @@ from ..optics import Optics
 from ..scene import Grid, Renderer, Scene
 from ..scene.effects import Effect, Effects
 
-# Over the voxels that the loss and its gradient take: read, weigh, square; and back. Chosen, not
-# measured.
+# Passes over the voxels that the loss and its gradient take: read, weigh, square; and back. Chosen,
+# not measured.
 _PASSES = 6.0
-_LONGEST, _FEWEST = 0.2, 3  # seconds and repeats of timing: enough for a least time, hardly noticed
+_LONGEST, _FEWEST = 0.2, 3  # s and runs of a timing: enough for a minimum, and hardly noticed
 
 
 class EffectCosts:
     """What effects cost in a fit of a scene on this machine.
 
-    What an effect states is in renderings, and so is its price here: in those of the scene, which
-    are timed. Rates kept from another moment, when the machine was busier or idler, would not do.
+    Effects state their cost in renderings, so renderings of the scene are timed now. Rates kept
+    from another moment, when the machine was more or less busy, would not do.
 
     Parameters
     ----------
     mesh, grid, optics, effects
-        Of the fit, and of the whole image.
+        Those of the fit, for the whole image.
     accuracy
-        Of its images.
+        Accuracy of its rendered images.
 
     Attributes
     ----------
     seconds
-        Of a rendering with its gradient.
+        Time of a rendering with its gradient.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class EffectCosts:
         self._pace = self.seconds / BUILT_IN.seconds(plan.work, plan.single)
 
     def _timed(self, mesh: Mesh, optics: Optics) -> float:
-        """Seconds of a rendering with its gradient, when nothing else gets in between."""
+        """Seconds of a rendering with its gradient; the least of several, free of interruptions."""
         taken: list[float] = []
         while len(taken) < _FEWEST or sum(taken) < _LONGEST:
             vertices = torch.tensor(mesh.vertices_numpy(), requires_grad=True)
@@ -61,19 +61,19 @@ class EffectCosts:
         return min(taken)
 
     def milliseconds(self, effect: Effect) -> float:
-        """ms that an iteration at full resolution takes longer with an effect."""
+        """How much longer an iteration at full resolution takes with an effect, ms."""
         return self._pace * milliseconds(effect, self._renderer.plan, self._grid, BUILT_IN)
 
 
 def milliseconds(effect: Effect, plan: Plan, grid: Grid, known: Costs) -> float:
-    """ms that an iteration takes longer with an effect, from what it states and a machine's rates.
+    """How much longer an iteration takes with an effect, ms, from the cost that the effect states.
 
     Parameters
     ----------
     plan
-        Of the renderings.
+        Plan of the renderings.
     grid
-        Of the image.
+        Grid of the image.
     known
         Costs of a machine.
     """

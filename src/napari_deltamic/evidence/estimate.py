@@ -1,4 +1,4 @@
-"""What the image tells about one number, or why it does not."""
+"""What an image tells about one number, or why it does not."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class Finding:
 
     @property
     def known(self) -> bool:
-        """Whether the image tells."""
+        """Whether the image tells the number."""
         return self.value is not None
 
 
 def unknown(reason: str) -> Finding:
-    """The image cannot tell, for this reason."""
+    """A finding without a number: the image cannot tell it, for this reason."""
     return Finding(None, 0.0, reason)

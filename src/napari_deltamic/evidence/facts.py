@@ -1,4 +1,4 @@
-"""What is known of a fit when it has ended: plain numbers, from which its verdict follows."""
+"""What is known about a fit when it has ended: plain numbers, from which its verdict follows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .slices_apart import SlicesApart
 
 @dataclass(frozen=True)
 class CellFacts:
-    """One cell.
+    """What is known about one cell.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class CellFacts:
     explained
         Share of the signal around it; None where nothing varies beyond noise.
     stray
-        Light of the clearest place of the residual near it, over the light of the cell.
+        Light of the clearest spot of the residual near it, over the light of the cell.
     growth
         Volume over that of the start; None where the start had no such cell.
     cut
@@ -36,11 +36,11 @@ class CellFacts:
     compact
         How round it is, over how round its start was; None where the start had no such cell.
     small
-        Whether nobody said what shines, and it is too small for the image to tell.
+        Whether what is labelled was not given, and it is too small for the image to tell.
     outgrowth
-        Where a thin one ends, um, Z Y X (:func:`~.outgrowths.outgrowths`); None without one.
+        Where its thin outgrowth ends, um, Z Y X (:func:`~.outgrowths.outgrowths`); None without.
     dent
-        The deepest thin one (:func:`~.dents.dents`); None without one.
+        Its deepest thin dent (:func:`~.dents.dents`); None without one.
     beyond_neck
         The middle of a thick part that its start did not have, um, Z Y X
         (:func:`~.necks.beyond_necks`); None without one.
@@ -52,12 +52,12 @@ class CellFacts:
     lit
         Share of its surface that shines; 1 where only insides do.
     medium
-        Of the difference by which the model has its inside darker than the medium around, the share
-        that the image shows; 1 where the model has none.
+        How much of the difference by which the model has its inside darker than the medium the
+        image shows; 1 where the model has no such difference.
     seen
         Share of its surface where the image is not missing.
     counted
-        Share of its surface where the image counted: not missing, nor left to other light.
+        Share of its surface where the image counted: neither missing nor left to other light.
     fold
         Where its surface is folded (:func:`~.folds.folds`), um, Z Y X; None where it is not.
     unseen_wall
@@ -68,11 +68,11 @@ class CellFacts:
         brightest, um, Z Y X (:func:`~.left_out.left_out`); None without any, or where membranes
         shine, as those of neighbours without a label would.
     slices
-        Along Z, how many slices high it is; infinite where a second view tells that as well.
+        Its height along Z in slices; infinite where a second view shows that direction, too.
     crowded
         Whether several points were placed in it.
     point
-        Whether it is no more than a point beside the PSF (:func:`~.growth_alarm.shrunken`).
+        Whether it is no more than a point compared with the PSF (:func:`~.growth_alarm.shrunken`).
     """
 
     region: int
@@ -109,27 +109,28 @@ class Facts:
     finished
         Whether its iterations came to an end, and it was not stuck.
     explained
-        Of the whole.
+        Share of the signal around all surfaces; None where nothing varies beyond noise.
     widths
-        Of the blur that the image tells over that of the PSF used, "across" and "along Z", as far
-        as it tells: only what is less than 1 where insides shine, and along Z only where the PSF is
-        a Gaussian.
+        Width of the blur that the image shows over that of the PSF used, "across" and "along Z", as
+        far as it can be told: where insides shine only values below 1, and along Z only for a
+        Gaussian PSF.
     narrow
-        Whether a PSF that was fitted became narrower than an image can tell.
+        Whether a fitted PSF became narrower than an image can tell.
     cells
-        One for each.
+        The facts of each cell.
     error
-        What is predicted of the shapes.
+        Predicted errors of the shapes.
     voxel
-        um: geometric mean of the sides of a voxel.
+        Geometric mean of the sides of a voxel, um.
     cut
         Share of the bright voxels that are cut off at the largest value.
     compressed
         Whether intensities look like logarithms.
     slices
-        How far they are apart.
+        How far slices are shifted against each other, and how unevenly bright they are.
     dome
-        Of the brightest light of the model, how high a dome of haze it has taken for background.
+        Height of a dome of haze that the fit took for background, over the brightest light of the
+        model.
     sharpened
         Whether insides shine in an image that looks deconvolved.
     unsure
@@ -143,8 +144,8 @@ class Facts:
     oblong
         Sides of a voxel along Y and X, um, where they differ (:func:`~.sanity.oblong`).
     followed
-        Share of the image around the surfaces that the way to them explains, where that to the
-        seeds explained hardly any (:func:`~.sanity.followed`); None where it did.
+        Share of the image's variance around the surfaces that the distance to them explains, if the
+        distance to the seeds explained hardly any (:func:`~.sanity.followed`); None if it did.
     by_hand
         Whether the shapes were changed by hand after the fit.
     """
@@ -171,7 +172,7 @@ class Facts:
 
     @cached_property
     def usual_growth(self) -> float:
-        """That of the cell in the middle; 1 where there are less than four."""
+        """Median growth of the cells; 1 if it is known for fewer than four."""
         known = [cell.growth for cell in self.cells if cell.growth is not None]
         # Of fewer cells the median could be one of those that are wrong.
         return max(median(known), 1e-9) if len(known) >= 4 else 1.0

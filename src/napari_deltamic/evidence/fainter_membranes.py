@@ -1,10 +1,10 @@
-"""Whether membranes may shine that a fit of insides has taken for insides that reach further out.
+"""Whether a fit of insides has mistaken light of membranes for insides that reach further out.
 
-Light of density m on the surface of an inside of density i looks like an inside that ends by m / i
-further out, through a PSF whose variance is less by (m / i)^2: the edge of the one and of the other
-agree in their first three moments (integrals of light, light * x and light * x^2 across the
-surface). What then differs is of third order. No derivative at the end of a fit tells of it, so the
-other image is rendered.
+Light of density m on the surface of an inside of density i looks like an inside that ends m / i
+further out, through a PSF whose variance is smaller by (m / i)^2: both edges agree in their first
+three moments (integrals of light, light * x and light * x^2 across the surface). The remaining
+difference is of third order. No derivative at the end of a fit shows it, so the other image is
+rendered.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ NAME = "light of membranes"
 
 @dataclass(frozen=True)
 class FainterMembranesRules:
-    """Which membranes are tried.
+    """How far in surfaces with membranes are tried.
 
     Attributes
     ----------
     depths
-        How much further in surfaces are tried, in widths of the PSF, least first. Chosen: what
-        differs grows as their cube, and what that costs in nats as their sixth power.
+        Depths that are tried, in widths of the PSF, in ascending order. Chosen: the difference
+        grows as their cube, and its cost in nats as their sixth power.
     never
-        Nats: what explains less by that many is no longer tried, nor what lies further in; by
-        definition e^-10 as likely.
+        Nats by which an alternative may explain less before no deeper one is tried; by definition
+        e^-10 as likely.
     """
 
     depths: tuple[float, ...] = (0.25, 0.35, 0.5, 0.7, 1.0)
@@ -46,10 +46,10 @@ RULES = FainterMembranesRules()
 
 
 def fainter_membranes(posed: Posed, responses: Responses, state: FitState) -> Alternative | None:
-    """Of surfaces further in, with membranes, those that the fit may be wrong by; None without any.
+    """The alternative of membranes with surfaces further in, which may be true; None without any.
 
-    Its ``moved`` is the largest of all depths, each times the root of its likelihood over that of
-    the fit (1 at most): what it adds to the variance, were either as likely beforehand.
+    It is the depth with the largest ``moved``, each weighted by the root of its likelihood relative
+    to the fit (at most 1): what it would add to the variance if both were equally likely a priori.
     """
     if state.light.interior <= 0 or not state.mesh.is_closed():
         return None
@@ -66,7 +66,7 @@ def fainter_membranes(posed: Posed, responses: Responses, state: FitState) -> Al
 
 
 def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitState, FloatArray]:
-    """A state with surfaces further in, and what they moved by, (V, 3) um."""
+    """A state with membranes and surfaces further in, and by how much they moved, (V, 3) um."""
     width = geometric_mean(state.optics.sigma_um)
     mesh, light, depth = state.mesh, state.light, widths * width
     moved = -depth * outwards(mesh)
@@ -75,7 +75,7 @@ def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitSt
     insides = (inner + outer) / np.maximum(1, (mesh.regions != OUTSIDE).sum(1))
     density = light.membrane * state.density + light.interior * depth * insides
     optics = state.optics
-    if len(posed.at.optics):  # else it is known, and tells them apart
+    if len(posed.at.optics):  # else the PSF is known, and tells both apart
         optics = optics.widened(depth)
     other = replace(
         state,
@@ -88,7 +88,7 @@ def _with_membranes(posed: Posed, state: FitState, widths: float) -> tuple[FitSt
 
 
 def _of_those_turned_over(mesh: Mesh, moved: FloatArray) -> IntArray:
-    """Vertices of cells that are too small to be moved so far in."""
+    """Vertices of cells that are too small to be moved this far in."""
     after = mesh.with_vertices(mesh.vertices_numpy() + moved).volumes()
     small = [region for region, volume in after.items() if volume <= 0]
     return np.unique(mesh.faces[np.isin(mesh.regions, small).any(1)])

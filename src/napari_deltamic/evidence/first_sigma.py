@@ -1,10 +1,10 @@
 """A first width of the PSF, from where the spectrum of an image sinks into its noise.
 
 The power of thin surfaces falls as one over the wavenumber squared (Porod's law for sheets), and
-cells that are all flat or long show more of it along their short axis: in a direction, it is as
-strong as the Gaussian curvature is low where the surface faces that way. The PSF makes it fall as a
-Gaussian on top, down to the power of the noise, which is the same everywhere. All are fitted to the
-periodogram by its own likelihood (P. Whittle, 1953).
+cells that are all flat or long have more of it along their short axis: in each direction it is
+inversely proportional to the Gaussian curvature where the surface faces that way. The PSF makes it
+fall further as a Gaussian, down to the power of the noise, which is the same everywhere. All of
+these are fitted to the periodogram by its likelihood (P. Whittle, 1953).
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ def first_sigma(image: np.ndarray, voxel_size: tuple[float, float, float]) -> Fi
 def plausible_sigma(
     image: np.ndarray, voxel_size: tuple[float, float, float]
 ) -> tuple[float, float, float] | None:
-    """um, Z Y X; a first PSF for a fit, as wide as the blur of the image.
+    """Widths (um, Z Y X) of a first PSF for a fit, as wide as the blur of the image.
 
-    None where the spectrum does not tell both widths, or tells what no light microscope has. Where
-    the image is sharper along Z than any, Z is taken to be as in the plane.
+    None if the spectrum does not tell both widths, or gives ones that no light microscope has. If
+    the image is sharper along Z than in any microscope, the width in the plane is used along Z.
     """
     found = first_sigma(image, voxel_size)
     if found.z.value is None or found.yx.value is None:
@@ -67,7 +67,7 @@ def plausible_sigma(
     z, yx = found.z.value, found.yx.value
     least, most = SPECTRUM.z_over_yx
     if z < least * yx:
-        z = yx  # planes along the slices, such as the cover slip's, look sharp
+        z = yx  # planes parallel to the slices, such as the cover slip, look sharp
     in_voxels = z / voxel_size[0], yx / max(voxel_size[1:])
     bounds = zip(in_voxels, SPECTRUM.in_voxels, strict=True)
     if not all(low <= width <= high for width, (low, high) in bounds):
@@ -76,9 +76,9 @@ def plausible_sigma(
 
 
 def with_first_psf(scene: SceneSettings, image: np.ndarray) -> tuple[SceneSettings, bool]:
-    """A scene whose PSF is as wide as the blur of the image, and whether the image told it.
+    """The scene with a PSF as wide as the blur of the image, and whether the image told it.
 
-    1.2 voxels where it does not; a scene that says its PSF stays as it is. image : (Z, Y, X).
+    If it did not, 1.2 voxels; a scene that has a PSF stays as it is. image : (Z, Y, X).
     """
     if scene.sigma is not None or scene.optics is not None:
         return scene, False
@@ -89,7 +89,7 @@ def with_first_psf(scene: SceneSettings, image: np.ndarray) -> tuple[SceneSettin
 
 
 def _prepared(pixels: np.ndarray) -> list[np.ndarray]:
-    """Parts of the stack that show most, without their mean, fading towards their borders."""
+    """The parts of the stack with most structure, minus their mean, fading out at their borders."""
     share = min(1.0, (SPECTRUM.looked_at / pixels.size) ** 0.5)
     kept = [max(1, int(n * share)) for n in pixels.shape[1:]]
     starts = [
@@ -102,7 +102,7 @@ def _prepared(pixels: np.ndarray) -> list[np.ndarray]:
 
 
 def _structure(part: np.ndarray) -> float:
-    """Variance of what is not missing."""
+    """Variance of the voxels that are not missing."""
     finite = part[np.isfinite(part)]
     return float(finite.var()) if finite.size else 0.0
 
@@ -112,7 +112,7 @@ def _faded(part: np.ndarray) -> np.ndarray:
     finite = np.isfinite(part)
     part = np.where(finite, part - (part[finite].mean() if finite.any() else 0), 0)
     if not finite.all():
-        gone = binary_opening(~finite, np.ones((3, 3, 3)))  # single voxels tell nothing wrong
+        gone = binary_opening(~finite, np.ones((3, 3, 3)))  # single voxels do no harm
         if gone.any() and not gone.all():  # else the edge of what is missing would look sharp
             part = part * np.minimum(distance_transform_edt(~gone) / SPECTRUM.fades, 1)
     for axis, n in enumerate(part.shape):
@@ -122,7 +122,7 @@ def _faded(part: np.ndarray) -> np.ndarray:
 
 
 def _bridged(part: np.ndarray) -> np.ndarray:
-    """Without what is missing in a few slices only, such as dead ones: interpolated along Z."""
+    """The part with gaps of only a few slices, such as dead ones, interpolated along Z."""
     finite = np.isfinite(part)
     if finite.all():
         return part
@@ -155,7 +155,7 @@ def _rings(
     long_yx = plane < 2 * pi / (SPECTRUM.longest_wave * longest)
     limit = pi / max(voxel_size[1:])
     used = ~(long_z & long_yx) & (plane <= limit)
-    # One ring a frequency along z: there are few. Rings in the plane are finer near the middle.
+    # One ring per frequency along z, as there are few.
     row = np.rint(kz / (2 * pi / (n[0] * voxel_size[0]))).astype(int)
     column = np.minimum((plane / limit * SPECTRUM.rings).astype(int), SPECTRUM.rings - 1)
     ring = (row * SPECTRUM.rings + column)[used]
@@ -179,7 +179,7 @@ def _fitted(
     squared = kz**2 + k**2
     known = 1 / SPECTRUM.log_flatness**2
     floor = float(np.quantile(power, SPECTRUM.noise_floor)) + 1e-30
-    # The modes of one ring belong to one shape: they are not as many draws as they are.
+    # The modes of one ring belong to one shape, so they are not as many independent draws.
     weight = np.minimum(count, SPECTRUM.most_modes)
 
     def signal_of(p: np.ndarray) -> np.ndarray:
@@ -192,7 +192,7 @@ def _fitted(
         return whole
 
     def loss(p: np.ndarray) -> tuple[float, np.ndarray]:
-        """And its derivatives."""
+        """The negative log-likelihood, and its derivatives."""
         signal, noise = signal_of(p), np.exp(p[3])
         m = signal + noise
         value = float((weight * (np.log(m) + power / m)).sum() + known * p[4] ** 2 / 2)
@@ -233,15 +233,15 @@ def _fitted(
     errors = _errors(model, p, weight, np.diag([0, 0, 0, 0, known]))
     z = _width(p[1], float(errors[1]), size[0], "z")
     yx = _width(p[2], float(errors[2]), size[1], "y and x")
-    if z.known and not yx.known:  # of noise, that can be: flatness stands in for a width
+    if z.known and not yx.known:  # possible for noise: flatness stands in for a width
         z = unknown(yx.reason)
     return FirstSigma(z, yx)
 
 
 def _shells(kz: np.ndarray, k: np.ndarray, log_flat: float) -> np.ndarray:
-    """Power of shells of ellipsoids of revolution, so many times as long along z as across.
+    """Power of shells of ellipsoids of revolution, exp(log_flat) times as long along z as across.
 
-    1 / (k^2 K), K the Gaussian curvature where the normal is along the wave vector: of spheres,
+    1 / (k^2 K), K the Gaussian curvature where the normal is along the wave vector: for spheres
     1 / k^2.
     """
     squared = np.exp(2 * log_flat)
@@ -254,7 +254,7 @@ def _errors(  # type: ignore[no-untyped-def]
 ) -> np.ndarray:
     """Standard deviations of the parameters, from the Fisher information of the periodogram.
 
-    prior : (P, P) what is known of them beside.
+    prior : (P, P) information on them from elsewhere.
     """
     h = SPECTRUM.step
     base = model(p)

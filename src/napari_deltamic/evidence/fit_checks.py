@@ -1,6 +1,6 @@
-"""Checks of a whole fit: each looks at one thing that is known, and returns a reason or None.
+"""Checks of a whole fit: each looks at one fact, and returns a reason or None.
 
-What is not a number is no reason.
+NaN is never a reason.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _explained(fit: Facts) -> Reason | None:
 
 
 def _widths(fit: Facts) -> Reason | None:
-    """Of the blur that the image tells beside that of the PSF."""
+    """Whether the blur that the image shows differs from that of the PSF."""
     across = fit.widths.get("across", 1.0)
     if across > RULES.widths[1]:
         text = f"the image is {across:.2g} times as blurred as the PSF implies: a thick layer, "
@@ -163,5 +163,5 @@ FIT_CHECKS: tuple[FitCheck, ...] = (
     _oblong,
     _coarse,
 )
-# Of what shines: if that is wrong, all surfaces lie further in or out.
+# Doubts about what is labelled: if that is wrong, all surfaces lie further in or out.
 STRUCTURE_CHECKS: tuple[FitCheck, ...] = (_unsure, _alone, _nuclei)

@@ -1,4 +1,4 @@
-"""What is known of a fit when it has ended, for its verdict."""
+"""Measures what is known about a fit when it has ended, for its verdict."""
 
 from __future__ import annotations
 
@@ -48,21 +48,21 @@ _Tables = dict[str, Mapping[int, Any]]  # by name of a fact of a cell, and by ce
 def verdict_of(
     job: FitInput, state: FitState, left: Residual, rendered: np.ndarray | None = None
 ) -> Verdict:
-    """What is to be thought of a fit; parameters as of :func:`facts_of`."""
+    """The verdict on a fit; parameters as for :func:`facts_of`."""
     return judged(facts_of(job, state, left, rendered))
 
 
 def facts_of(
     job: FitInput, state: FitState, left: Residual, rendered: np.ndarray | None = None
 ) -> Facts:
-    """What is known of a fit.
+    """What is known about a fit.
 
     Parameters
     ----------
     left
-        What it does not explain.
+        The residual, which the fit does not explain.
     rendered
-        (Z, Y, X) image of the state, where it is known already.
+        (Z, Y, X) image of the state, if it is known already.
     """
     image = np.asarray(state.rendered() if rendered is None else rendered)
     pixels, size = np.asarray(job.image), job.grid.voxel_size
@@ -96,7 +96,7 @@ def facts_of(
 
 @dataclass(frozen=True, eq=False)
 class _Images:
-    """What a fit renders, and what was measured and is shown with the ground taken off."""
+    """The rendered image, and the measured and the rendered one without the background effects."""
 
     rendered: np.ndarray
     seen: np.ndarray
@@ -132,7 +132,7 @@ def _telling(job: FitInput, state: FitState, left: Residual) -> _Tables:
 
 
 def _light(job: FitInput, state: FitState, left: Residual, images: _Images) -> _Tables:
-    """Of each cell, and beside it."""
+    """Facts about the light of each cell, and beside it."""
     light, place = state.light, Cells(state.mesh, state.optics, job.grid)
     everywhere = np.ones(job.grid.shape, bool)
     found: _Tables = {
@@ -154,7 +154,7 @@ def _light(job: FitInput, state: FitState, left: Residual, images: _Images) -> _
 
 
 def _shape(job: FitInput, state: FitState) -> _Tables:
-    """Of each cell, and beside that of its start."""
+    """Facts about the shape of each cell, and compared with that of its start."""
     mesh, fit = state.mesh, job.settings.fit
     given = mesh, job.grid, state.optics
     asked = fit.structure == "auto" and state.light.interior == 0
@@ -174,7 +174,7 @@ def _shape(job: FitInput, state: FitState) -> _Tables:
 
 
 def _stray(left: Residual, state: FitState, shown: np.ndarray) -> dict[int, float]:
-    """Light of the clearest place of the residual near each region, over that of the region."""
+    """Largest light of a residual spot near each region, over the light of the region."""
     areas = _areas(state.mesh)
     total = float(np.abs(shown - state.background).sum()) / (sum(areas.values()) or 1.0)
     found: dict[int, float] = {}
@@ -185,15 +185,15 @@ def _stray(left: Residual, state: FitState, shown: np.ndarray) -> dict[int, floa
 
 
 def _widths(job: FitInput, state: FitState, images: _Images) -> dict[str, float]:
-    """Of the blur across and along Z, over that of the PSF, as far as told; voxels blur, too.
+    """Width of the blur across and along Z over that of the PSF, as far as the image tells it.
 
-    What is narrower than voxels can tell is no blur: that of a stack of vesicles was told to be
-    0.55 voxel long, and the PSF was 1.2.
+    What is narrower than voxels can tell does not count, as voxels blur, too: for a stack of
+    vesicles the spectrum gave 0.55 voxel along Z, and the PSF was 1.2.
     """
     sigma, size = state.optics.sigma_um, job.grid.voxel_size
     told = first_sigma(images.seen, size)
     widths = {"across": (told.yx.value, max(sigma[1:]), max(size[1:]))}
-    if isinstance(state.optics, GaussianPSF):  # of a light cone, the spectrum tells less
+    if isinstance(state.optics, GaussianPSF):  # the spectrum tells less about a light cone
         widths["along Z"] = told.z.value, sigma[0], size[0]
     found = {
         axis: float(value / of)
@@ -201,7 +201,7 @@ def _widths(job: FitInput, state: FitState, images: _Images) -> dict[str, float]
         if value is not None and not narrower_than_told((value,), (side,))
     }
     if not is_white(images.seen - images.shown):  # smoothed noise looks like sharper light
-        # Measured across in 15 smoothed images: 0.64 to 0.79 of the true width is told.
+        # Measured across in 15 smoothed images: 0.64 to 0.79 of the true width is found.
         much = {"across": RULES.far_off}
         found = {axis: w for axis, w in found.items() if w > 1 or w < much.get(axis, 0.0)}
     if state.light.interior:  # the spectrum of insides falls faster than that of membranes
@@ -210,7 +210,7 @@ def _widths(job: FitInput, state: FitState, images: _Images) -> dict[str, float]
 
 
 def _followed(job: FitInput, state: FitState, seen: np.ndarray) -> float | None:
-    """Of what counted, where the image hardly follows the start; None where it does."""
+    """Share of what counted that surfaces explain, if the start explains hardly any; else None."""
     if not len(job.mesh.faces) or followed(seen, job.grid, job.mesh) >= SANITY.followed:
         return None
     counted = seen if job.counted is None else np.where(job.counted, seen, np.nan)
@@ -218,7 +218,7 @@ def _followed(job: FitInput, state: FitState, seen: np.ndarray) -> float | None:
 
 
 def _dome(job: FitInput, state: FitState, shown: np.ndarray) -> float:
-    """How high what effects add is domed, over the brightest of what is shown; a slope is none."""
+    """Height of a dome in what effects add, over the range of the image; slopes do not count."""
     added = offset(state.effects, job.grid)
     if added is None or not np.ptp(shown):
         return 0.0
@@ -237,16 +237,16 @@ def _areas(mesh: Mesh) -> dict[int, float]:
 
 
 def _heights(mesh: Mesh) -> dict[int, float]:
-    """um along Z, of each region."""
+    """Height of each region along Z, um."""
     heights = mesh.vertices_numpy()[mesh.faces][..., 0]
     return {r: float(np.ptp(heights[own])) for r, own in mesh.faces_by_region().items()}
 
 
 def _lit(state: FitState) -> dict[int, float]:
-    """Share of the surface of each region that shines, as if all of it did alike.
+    """Share of the surface of each region that shines, as if that part were evenly bright.
 
-    The mean density squared over the mean squared density: all light on a tenth of the surface
-    gives 0.1. None where only insides shine.
+    The squared mean density over the mean squared density: all light on a tenth of the surface
+    gives 0.1. Empty if only insides shine.
     """
     if not state.light.membrane:
         return {}
@@ -273,7 +273,7 @@ def _compactness(start: Mesh, end: Mesh) -> dict[int, float]:
 
 
 def _roundness(mesh: Mesh) -> dict[int, float]:
-    """Area of the sphere of the volume of each region, over its own."""
+    """Area of the sphere with the volume of each region, over the region's own area."""
     areas = _areas(mesh)
     return {
         region: float(np.cbrt(np.pi) * (6 * abs(volume)) ** (2 / 3) / areas[region])

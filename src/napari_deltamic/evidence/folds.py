@@ -1,6 +1,6 @@
-"""Folds of a cell in which something shines: where one label covers two cells.
+"""Folds into a cell: where one label covers two cells, with a bright wall between them.
 
-The fit has no wall to put there, so it folds the surface in until both sides of the fold make one.
+The fit has no wall to put there, so it folds the surface in until both sides of the fold form one.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ class FoldRules:
     Attributes
     ----------
     narrow
-        Widths of the PSF, at most, between its sides: two membranes look like one
+        Largest distance between its sides, widths of the PSF: two membranes then look like one
         (C. M. Sparrow, 1916).
     share
-        Of the surface of the cell, at least. Measured where labels of two cells were made one: 0.04
-        and 0.05 (with insides, which are told as uneven, 0.01 and 0.02); in ten simulated tissues
-        and cells with fingers at most 0.004, in a gland 0.02 to 0.04.
+        Least share of the cell's surface. Measured where labels of two cells were joined: 0.04 and
+        0.05 (with insides, which are told as uneven, 0.01 and 0.02); in ten simulated tissues and
+        cells with fingers at most 0.004, in a gland 0.02 to 0.04.
     """
 
     narrow: float = 2.0
@@ -51,7 +51,7 @@ def folds(state: FitState) -> dict[int, tuple[float, float, float]]:
     faces = mesh.faces_by_region()
     for place in sorted(places, key=lambda place: len(place.points)):  # the largest counts last
         (cell,) = place.sides
-        # Each vertex of even triangles stands for 0.87 edges squared.
+        # In a regular mesh, each vertex stands for an area of 0.87 edges squared.
         both = len(place.points) * np.sqrt(3) / 2 * edge**2
         if both > RULES.share * 2 * float(areas[faces[cell]].sum()):
             z, y, x = place.center.tolist()

@@ -1,7 +1,7 @@
-"""Bright parts beside cells whose insides shine: arms that a label left out, for example.
+"""Bright parts beside cells whose insides shine, for example arms that a label left out.
 
-Their light may count as that of other objects (:mod:`~.fitting.voxels.voxel_ownership`), so the
-fit cannot grow there, and its residual is judged without them.
+Their light may be assigned to other objects (:mod:`~.fitting.voxels.voxel_ownership`), so the fit
+cannot grow there, and its residual is judged without them.
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ _ALL_AROUND = np.ones((3, 3, 3))  # exact: neighbours across corners, too
 
 @dataclass(frozen=True)
 class LeftOutRules:
-    """What counts as a part of a cell; in widths of the PSF, axis by axis.
+    """What counts as a part of a cell; lengths in widths of the PSF along each axis.
 
     Attributes
     ----------
     bright
-        Of the inside of the nearest cell, beyond what the fit explains; as light of another object
-        is told.
+        Least brightness beyond what the fit explains, over that of the inside of the nearest cell;
+        as for light of other objects.
     above
-        Standard deviations of noise, at least; the same.
+        Least brightness in standard deviations of noise; likewise.
     smooth
-        Over this; the same.
+        Width of the blur before; likewise.
     touching
-        How far from a surface it begins, at most: further away there is a dark gap. Chosen.
+        Largest distance from a surface at which it begins: beyond that there is a dark gap. Chosen.
     out
-        How far it reaches, at least: what lies nearer is a surface that is off. Chosen.
+        Least distance that it reaches out: what lies nearer is a surface that is off. Chosen.
     around
-        Its light counts so far around it, since it is blurred. Measured: three cells whose labels
-        lacked 8, 21 and 27 % of their volume then seem to lack 8, 22 and 31 % of their light, and
-        3, 10 and 17 % without.
+        Its light counts up to this far around it, since it is blurred. Measured: three cells whose
+        labels lacked 8, 21 and 27 % of their volume then seem to lack 8, 22 and 31 % of their
+        light, and 3, 10 and 17 % without.
     thin
-        Of the depth of the cell, its own, at most: what is thicker is a cell without a label, as
-        in packed nuclei. Measured: 0.2 to 0.5 in arms, 1.6 to 2.4 in nuclei without a label.
+        Largest depth of the part over that of the cell: what is thicker is a cell without a label,
+        as in packed nuclei. Measured: 0.2 to 0.5 in arms, 1.6 to 2.4 in nuclei without a label.
     """
 
     bright: float = OWNERSHIP.bright
@@ -83,17 +83,17 @@ def left_out(
     shown: NDArray[np.floating],
     background: float,
 ) -> dict[int, tuple[float, Place]]:
-    """Light of the bright parts that touch a cell and belong to none, over that of the cell.
+    """Light of bright parts that touch a cell and belong to none, for each cell that has any.
 
-    And where they are brightest, um, Z Y X.
+    Relative to the light of the cell; and where it is brightest, um, Z Y X.
 
     Parameters
     ----------
     seen, shown
-        (Z, Y, X) what was measured, NaN where missing, and what the fit renders, without what
+        (Z, Y, X) the measured image, NaN where missing, and the rendered one, both without what
         effects add.
     background
-        Of the fit.
+        Background of the fit.
     """
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     boxes = dict(label_boxes(labels))
@@ -131,7 +131,7 @@ def left_out(
 
 @dataclass(frozen=True)
 class _Cell:
-    """How bright the inner half of a cell is, and how deep its middle lies, widths."""
+    """Brightness of the inner half of a cell, and depth of its middle in widths of the PSF."""
 
     inside: float
     deepest: float
@@ -144,7 +144,7 @@ def _cell(own: Mask, light: NDArray[np.floating], spacing: NDArray[np.floating])
 
 
 def _noise(beside: NDArray[np.floating]) -> float:
-    """What bright things exceed; the darker half beside cells tells it, where nothing is left."""
+    """Brightness above noise, judged by the darker half of the voxels beside cells."""
     low, middle = np.percentile(beside, (OWNERSHIP.low, 50))
     return RULES.above * float(middle - low) / OWNERSHIP.deviation
 
@@ -153,9 +153,9 @@ def _noise(beside: NDArray[np.floating]) -> float:
 class _Near:
     """The cell nearest to each voxel.
 
-    names, inside, deepest : of each cell that is nearest somewhere, as of :class:`_Cell`.
+    names, inside, deepest : of each cell that is nearest somewhere: region, and see :class:`_Cell`.
     cell : (Z, Y, X) index into these.
-    away : (Z, Y, X) widths of the PSF from it, 0 within.
+    away : (Z, Y, X) distance from it in widths of the PSF, 0 within.
     """
 
     names: list[int]
@@ -181,7 +181,7 @@ def _arms_of(
     near: _Near,
     spacing: NDArray[np.floating],
 ) -> NDArray[np.integer]:
-    """Of each part, the index of the cell that it may be an arm of; -1 for none."""
+    """Index of the cell that each part may be an arm of; -1 for none."""
     begins, ends = (np.asarray(f(near.away, parts, numbers)) for f in (minimum, maximum))
     depth = distance_transform_edt(parts > 0, sampling=spacing)
     thick = np.asarray(maximum(depth, parts, numbers))
@@ -199,7 +199,7 @@ def _light(
     outside: Mask,
     spacing: NDArray[np.floating],
 ) -> NDArray[np.floating]:
-    """Of each part and what is around it outside of cells, but nearest to it."""
+    """Light of each part, with that around it outside of cells for which it is the nearest part."""
     gap, at = distance_transform_edt(parts == 0, sampling=spacing, return_indices=True)
     around = np.where(outside & (gap <= RULES.around), parts[tuple(at)], 0)
     return np.asarray(sum_labels(rest, around, numbers))
@@ -211,7 +211,7 @@ def _around_touching(
     boxes: Mapping[int, tuple[slice, ...]],
     spacing: NDArray[np.floating],
 ) -> tuple[slice, ...] | None:
-    """The box of the bright things that touch cells, and of these cells; None without any."""
+    """The box that holds the bright things that touch cells, and these cells; None without any."""
     room = np.ceil(max(RULES.touching, RULES.around) / spacing).astype(int) + 1
     near = cells
     for axis, n in enumerate(room.tolist()):

@@ -1,4 +1,4 @@
-"""The derivatives of an image in all that was fitted, and what they explain of it."""
+"""Derivatives of an image by all that was fitted, and how much of it they explain."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
-# Of columns of size 1, so that those that are the same as others can be solved for. Measured: with
-# a thousandth and a thousand times of it scores change by 5e-4 at most.
+# Added for columns of size 1, so that identical columns can be solved for. Measured: with a
+# thousandth and a thousand times as much, scores change by 5e-4 at most.
 _RIDGE = 1e-9
 
 
@@ -20,15 +20,15 @@ class Linearised:
     Attributes
     ----------
     columns
-        (N, K): shape modes first, then all other numbers.
+        (N, K): first those of shape modes, then those of all other numbers.
     residual
         (N,) measured minus expected, times the root of the weights.
     root
         (N,) root of the weights.
     modes
-        How many of the columns are of shape modes.
+        How many of the columns belong to shape modes.
     prior
-        (K, K) added to the normal equations.
+        (K, K) matrix added to the normal equations.
     """
 
     columns: np.ndarray
@@ -39,7 +39,7 @@ class Linearised:
 
     @cached_property
     def gram(self) -> np.ndarray:
-        """(K, K) products of the columns."""
+        """(K, K) scalar products of the columns."""
         found: np.ndarray = self.columns.T @ self.columns
         return found
 
@@ -52,23 +52,23 @@ class Linearised:
         return scale, lu_factor(normal)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Coefficients of the columns that explain a weighted image (N,) or several (N, P) best."""
+        """Coefficients (K,) or (K, P) that explain a weighted image (N,) or several (N, P) best."""
         scale, factors = self._factors
         solved: np.ndarray = lu_solve(factors, ((self.columns.T @ right).T / scale).T)
         return (solved.T / scale).T
 
     def left(self, right: np.ndarray) -> np.ndarray:
-        """A weighted image (N,), or several (N, P), less what the columns explain of it."""
+        """A weighted image (N,), or several (N, P), minus what the columns explain of it."""
         rest: np.ndarray = right - self.columns @ self.solve(right)
         return rest
 
     @cached_property
     def rest(self) -> np.ndarray:
-        """(N,) the residual less what the columns explain of it."""
+        """(N,) the residual minus what the columns explain of it."""
         return self.left(self.residual)
 
     def without(self, own: np.ndarray, residual: np.ndarray) -> Linearised:
-        """With another residual, and without some of the columns."""
+        """A copy with another residual, and without the columns with indices ``own``."""
         kept = np.setdiff1d(np.arange(self.columns.shape[1]), own)
         prior = self.prior[np.ix_(kept, kept)]
         found = replace(self, columns=self.columns[:, kept], residual=residual, prior=prior)
@@ -76,9 +76,9 @@ class Linearised:
         return found
 
     def with_voxels(self, columns: np.ndarray, residual: np.ndarray) -> Linearised:
-        """With further voxels, as if all that the others tell were explained.
+        """A copy with further voxels, in which the residual of the others is set to 0.
 
-        They tell nothing of the last numbers, those that they have no columns of.
+        ``columns`` (M, up to K) : where columns are missing at the end, the voxels tell nothing.
         """
         further = np.zeros((len(columns), self.columns.shape[1]))
         further[:, : columns.shape[1]] = columns

@@ -1,4 +1,4 @@
-"""Smooth changes of shape: what an effect that is left out could pass for."""
+"""Smooth changes of shape, for which an effect that was left out could be mistaken."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from ..geometry.connected import adjacency
 from ..geometry.mesh import Mesh
 from .evidence_rules import MODES
 
-# Vertices up to which a dense solver is quicker, measured on a sphere: 0.005 and 0.014 s at 362,
-# 0.032 against 0.022 s at 642, 0.060 against 0.031 s at 812. It also lets no other thread of Python
-# run (SciPy's LAPACK keeps the interpreter's lock): with 1500, a window stood still for half a
-# second.
+# Vertices up to which a dense solver is faster, measured on a sphere: 0.005 against 0.014 s at 362,
+# 0.032 against 0.022 s at 642, 0.060 against 0.031 s at 812. It also blocks all other threads of
+# Python (SciPy's LAPACK keeps the interpreter's lock): with 1500, a window froze for half a second.
 _DENSE = 500
 _BELOW_ALL = -1e-3  # where eigenvalues are sought: 0 is one, whose matrix could not be inverted
 
@@ -29,9 +28,10 @@ class ShapeModes:
     Attributes
     ----------
     fields
-        (K, V, 3) um for a coefficient of 1; each has a root mean square of 1 um along the normals.
+        (K, V, 3) displacements for a coefficient of 1, um; the root mean square of each along the
+        normals is 1 um.
     gram
-        (K, K): mean over the surface of the products of their normal displacements, um^2.
+        (K, K) means over the surface of the products of their normal displacements, um^2.
     """
 
     fields: np.ndarray
@@ -41,11 +41,11 @@ class ShapeModes:
         return len(self.fields)
 
     def displaced(self, vertices: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-        """(V, 3) vertices moved by so much of each."""
+        """(V, 3) vertices displaced by the modes with these coefficients (K,)."""
         return vertices + np.tensordot(coefficients, self.fields, axes=1)
 
     def size(self, coefficients: np.ndarray) -> float:
-        """um: root mean square displacement along the normals, over the whole surface."""
+        """Root mean square displacement along the normals over the whole surface, um."""
         return float(np.sqrt(max(coefficients @ self.gram @ coefficients, 0.0)))
 
 
@@ -54,18 +54,18 @@ def shape_modes(
 ) -> ShapeModes:
     """The smoothest displacements of each region's surface along its normals.
 
-    Those of the lowest eigenvalues of the Laplacian: on a sphere, the spherical harmonics of lowest
-    degree, that is size, position, stretch, and so on. Position and stretch along the axes are
-    added as such, since on other shapes they are not among them.
+    They belong to the lowest eigenvalues of the Laplacian: on a sphere, these are the spherical
+    harmonics of lowest degree, that is size, position, stretch, and so on. Shifts and stretches
+    along the axes are added explicitly, since on other shapes they are not among them.
 
     Parameters
     ----------
     mesh
         Closed surfaces.
     regions
-        Those whose modes are wanted; all by default.
+        Regions whose modes are wanted; all by default.
     count
-        Of Laplacian modes for each region; by default fewer the more regions there are.
+        Number of Laplacian modes per region; by default fewer, the more regions there are.
     """
     wanted = mesh.region_ids() if regions is None else np.asarray(regions)
     wanted = wanted[wanted != 0]
@@ -77,7 +77,7 @@ def shape_modes(
 
 
 def density_fields(mesh: Mesh, model: DensityModel, regions: np.ndarray) -> np.ndarray:
-    """(M, F) smooth or piecewise changes of the logarithm of a density; none where it is uniform.
+    """(M, F) smooth or piecewise changes of the logarithm of a density; none if it is uniform.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def density_fields(mesh: Mesh, model: DensityModel, regions: np.ndarray) -> np.n
         ``"interface"``: one field for each interface; ``"smooth"``: the smoothest fields on the
         surface of each region.
     regions
-        Those whose surfaces may change.
+        Regions whose surfaces may change.
     """
     own = np.isin(mesh.regions, regions).any(1)
     if model == "uniform":
@@ -93,7 +93,7 @@ def density_fields(mesh: Mesh, model: DensityModel, regions: np.ndarray) -> np.n
     if model == "interface":
         numbers = mesh.interfaces()[1]
         kept = np.unique(numbers[own])
-        # One of them is the amplitude's.
+        # One of them is left out, as the amplitude stands for it.
         return (numbers[None] == kept[1:, None]).astype(float)
     links = adjacency(mesh)
     fields = []
@@ -105,7 +105,8 @@ def density_fields(mesh: Mesh, model: DensityModel, regions: np.ndarray) -> np.n
             values = np.zeros(len(mesh.vertices))
             values[where] = scalar / max(float(np.abs(scalar).max()), 1e-12)
             fields.append(np.where(faces, values[mesh.faces].mean(1), 0.0))
-    return np.array(fields[1:]).reshape(-1, len(mesh.faces))  # the first is the amplitude's
+    # The amplitude stands for the first one.
+    return np.array(fields[1:]).reshape(-1, len(mesh.faces))
 
 
 def _of_region(mesh: Mesh, region: int, links: sp.csr_matrix, count: int) -> list[np.ndarray]:
@@ -148,7 +149,7 @@ def _smoothest(links: sp.csr_matrix, count: int) -> np.ndarray:
 
 
 def _normalised(mesh: Mesh, fields: np.ndarray) -> ShapeModes:
-    """Each of size 1, those that others make up left out."""
+    """Modes from fields, each of size 1, leaving out those that are combinations of others."""
     area = mesh.areas()
     along = np.einsum("kfcd,fd->kf", fields[:, mesh.faces], mesh.normals()) / 3
     along = along * np.sqrt(area / area.sum())

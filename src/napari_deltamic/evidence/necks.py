@@ -1,7 +1,7 @@
 """Parts of a cell beyond a neck that its start did not have: neighbours that it may have swallowed.
 
-A thin outgrowth is too thin for the image to show (:mod:`.outgrowths`); this is what is thick
-again further out.
+A thin outgrowth is too thin for the image to show (:mod:`.outgrowths`); these parts are thick again
+further out.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from ..scene import Grid
 
 @dataclass(frozen=True)
 class NeckRules:
-    """What counts as one.
+    """What counts as a neck.
 
     Attributes
     ----------
     narrow
-        Half the thickness of the neck over that of the thinner part: less on both sides of it makes
-        two parts. Measured: 0.5 to 0.7 tell a cell that had swallowed a small neighbour from 61
-        that had not; only from 0.65 on, a nucleus that had swallowed specks is told as well. No
-        bound from 0.5 to 0.8 finds a neck in cells less than 0.78 voxel off in 140 random scenes;
-        in an embryo of 56 cells, 0.6 and more name one, which bulges out through the hull.
+        Largest thickness of the neck over that of the thinner part. Measured: 0.5 to 0.7 tell a
+        cell that had swallowed a small neighbour from 61 that had not; only from 0.65 on, a nucleus
+        that had swallowed specks is told as well. No bound from 0.5 to 0.8 finds a neck in cells
+        less than 0.78 voxel off in 140 random scenes; in an embryo of 56 cells, 0.6 and more name
+        one, which bulges out through the hull.
     thick
-        Widths of the PSF, axis by axis: half the thickness of a part, at least. Measured: 2.2 in
-        the same cell; corners of other cells are up to 1.2.
+        Least half thickness of a part, widths of the PSF along each axis. Measured: 2.2 in the same
+        cell; corners of other cells have up to 1.2.
     """
 
     narrow: float = 0.65
@@ -46,7 +46,7 @@ RULES = NeckRules()
 def beyond_necks(
     start: Mesh, mesh: Mesh, grid: Grid, optics: Optics
 ) -> dict[int, tuple[float, float, float]]:
-    """The middle of the thickest such part of each cell, um, Z Y X; cells without are left out.
+    """The middle of the thickest part beyond a neck of each cell, um, Z Y X; only cells with one.
 
     start : where the fit began; a part whose middle lay in it does not count.
     """

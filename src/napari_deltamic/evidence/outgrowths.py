@@ -1,4 +1,4 @@
-"""Thin outgrowths of cells: what a surface makes of bright specks, or a neighbour, beside it."""
+"""Thin outgrowths of cells, which surfaces form towards bright specks or neighbours beside them."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from .cell_voxels import CellVoxels, cell_voxels, voxels_at
 
 @dataclass(frozen=True)
 class OutgrowthRules:
-    """What counts as one; in widths of the PSF, axis by axis.
+    """What counts as an outgrowth; lengths in widths of the PSF along each axis.
 
     Attributes
     ----------
     share
-        Of the cell's volume that may be thin: flat cells are more.
+        Largest share of the cell's volume that is thin: a flat cell has more than this.
     thin
-        Half its thickness, at most: the image shows little of what is thinner.
+        Largest half thickness: the image shows little of what is thinner.
     length
-        How far it reaches out of the cell, at least. Measured on 183 random scenes (``--anything``
-        of benchmarks.defaults): up to 2.0 where the error was below 0.3 voxel, but 4.5 to 6.6 in
-        three of those; 2.6 to 22 in eight cells of five scenes that were 0.5 to 0.9 voxel off, one
-        of which nothing else told.
+        Least length out of the cell. Measured on 183 random scenes (``--anything`` of
+        benchmarks.defaults): up to 2.0 where the error was below 0.3 voxel, but 4.5 to 6.6 in three
+        of those; 2.6 to 22 in eight cells of five scenes that were 0.5 to 0.9 voxel off, one of
+        which no other check found.
     fin
-        Widths squared, of both sides, that reach out as far, at least: what is thinner than voxels
-        holds no centre of one. Measured on 772 cells of 109 simulated scenes: 74 and 94 in two
-        cells that had grown along a wall which no label told of, 66 in a cell 0.6 voxel off; up to
-        32 in those within 0.2 voxel, edges along which three cells meet among them, but 55 and 73
-        in two where slices were shifted.
+        Least area of both sides that reaches out as far, widths squared: parts thinner than a voxel
+        hold no centre of one. Measured on 772 cells of 109 simulated scenes: 74 and 94 in two cells
+        that had grown along a wall of cells without labels, 66 in a cell 0.6 voxel off; up to 32 in
+        those within 0.2 voxel, including edges along which three cells meet, but 55 and 73 in two
+        where slices were shifted.
     sheet
-        How thick that is on average, at most. Measured: 0.12 and 0.21 in those two; 0.26 or more in
-        right cells that have as much beyond, which are flat there or have arms.
+        Largest mean thickness of a fin. Measured: 0.12 and 0.21 in those two; 0.26 or more in right
+        cells that have as much beyond, which are flat there or have arms.
     usual
-        How much further than the median of all cells, at least, and how many times its fins.
-        Chosen: in an embryo of 56 cells the median length is 3.5, as walls between cells end in
-        sharp edges there, and only one cell reaches out twice as far.
+        Least ratio to the median over all cells, for lengths and for fins. Chosen: in an embryo of
+        56 cells the median length is 3.5, as walls between cells end in sharp edges there, and only
+        one cell reaches out twice as far.
     crowd
-        Cells, at least, whose median says what is usual. Chosen.
+        Fewest cells whose median tells what is usual. Chosen.
     """
 
     share: float = 0.3
@@ -62,9 +62,9 @@ Place = tuple[float, float, float]
 
 
 def outgrowths(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, Place]:
-    """Where the longest thin outgrowth of each cell ends, um, Z Y X; cells without are left out.
+    """Where the longest thin outgrowth of each cell ends, um, Z Y X; only cells that have one.
 
-    Cells that are thin as a whole have none, and neither have cells that reach out as others do.
+    Cells that are thin as a whole have none, nor do cells that reach out no further than usual.
     """
     spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
     rim = int(np.ceil((RULES.thin + RULES.length) / spacing.min())) + 1
@@ -91,7 +91,7 @@ def outgrowths(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, Place]:
 
 
 class _Sides:
-    """The triangles within the image: where they are, and how large."""
+    """Middles of all triangles, and areas (widths squared; 0 for those outside of the image)."""
 
     def __init__(self, mesh: Mesh, grid: Grid, optics: Optics) -> None:
         corners = mesh.vertices_numpy()[mesh.faces]
@@ -108,9 +108,9 @@ class _Sides:
         faces: NDArray[np.signedinteger],
         volume: float,
     ) -> tuple[float, Place]:
-        """Widths squared of a cell that reach out as far as outgrowths, and where they end, um.
+        """Area of a cell that reaches out like outgrowths, widths squared, and its far end, um.
 
-        None where they are too far from each other for a sheet around that volume.
+        The area is 0 if the enclosed ``volume`` is too large for a thin sheet.
         """
         middles = self.middles[faces]
         far = np.where(self.areas[faces] > 0, cell.at(away, middles), 0.0)
@@ -120,7 +120,7 @@ class _Sides:
 
 
 def _unusual(values: Mapping[int, float], least: float) -> list[int]:
-    """Regions with so much, and more than others have."""
+    """Regions with a value of at least ``least`` that is unusual among all of them."""
     usual = median(values.values()) if len(values) >= RULES.crowd else 0.0
     bound = max(least, RULES.usual * usual)
     return [region for region, value in values.items() if value >= bound]

@@ -1,4 +1,4 @@
-"""The objective of a fit for the part of its image that is judged: its columns, and steps of it."""
+"""The objective of a fit on the part of its image that is judged: derivatives, further steps."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ from .linearised import Linearised
 from .modes import density_fields, shape_modes
 from .voxel_variance import Variance
 
-# Of the PSF's width: a difference of shapes. Measured: with five times of it, some predicted biases
-# are 1.6 times as large, since modes that hardly differ then seem to.
+# Step for finite differences of shape, over the PSF's width. Measured: with five times as much,
+# some predicted biases are 1.6 times as large, since modes that hardly differ then seem to.
 _MOVE = 0.004
 
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """Where steps of a fit have led.
+    """The end of steps of a fit.
 
     Attributes
     ----------
     state
-        Of the part.
+        State of the part.
     posterior, at, now
-        The objective of the voxels that are evidence, and what it is there.
+        The objective on the voxels that are evidence, its variables, and its value there.
     linearised
-        What the image changes by there.
+        The derivatives of the image there.
     """
 
     state: FitState
@@ -62,11 +62,11 @@ class Settled:
         return self.posterior.prior.imaging
 
     def columns(self, effect: Effect) -> FloatArray:
-        """(N, P) derivatives of the image by an effect's numbers; see :meth:`columns_of`."""
+        """(N, P) derivatives of the image by an effect's numbers; see ``Posterior.columns_of``."""
         return self.posterior.columns_of(self.at, effect)
 
     def own_columns(self, effect: Effect) -> IntArray:
-        """Which of the linearised ones are those of an effect that is there; they come last."""
+        """Indices of an effect's columns in ``linearised``; empty if the effect is not fitted."""
         first = self.linearised.columns.shape[1] - len(self.at.effects)
         for other in self.imaging.fitted:
             n = len(other.parameters())
@@ -78,14 +78,14 @@ class Settled:
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """Columns of the surface, by far the dearest, and where they are from."""
+    """Columns of the surface, by far the most expensive ones, and where they were computed."""
 
     at: Variables
     now: Evaluation
     columns: list[FloatArray]
 
     def near(self, at: Variables, now: Evaluation, width: float) -> bool:
-        """Whether surface and image are nearly the same."""
+        """Whether surface and image are nearly the same there, so that the columns still hold."""
         moved, changed = REFIT.same
         apart = at.vertices - self.at.vertices
         image, before = (e.match.amplitude * e.rendered for e in (now, self.now))
@@ -94,18 +94,18 @@ class _Surface:
 
 
 class PartModel:
-    """What a fit's own objective says of a part of an image.
+    """A fit's own objective on a part of the image.
 
     Parameters
     ----------
     part
-        Of the image.
+        The part of the image.
     image, frame
         (Z, Y, X) the whole image without NaN, and its grid.
     variance
-        Of voxels, from the expected image.
+        Variance of voxels as a function of the expected image.
     settings
-        Of the fit.
+        Settings of the fit.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class PartModel:
         self._counted.reshape(-1)[part.index] = True
 
     def begun(self, state: FitState) -> Settled:
-        """From a state of the part on."""
+        """Continue the fit of the part from a state."""
         self._posed = posed = self._pose(state)
         shape = Shape.begun(state.mesh, self._settings.density).with_pins(self._held)
         self._metric = Metric.at_end(posed, shape, self._settings, density_fitted=True)
@@ -139,9 +139,9 @@ class PartModel:
         return self._settled(state, posterior, posed.at)
 
     def with_effects(self, before: Settled, effects: Effects, moved: FloatArray) -> Settled:
-        """From there on with other effects, the shape moved by so much of each mode."""
+        """Continue with other effects, after moving the shape by ``moved``, (K,) of its modes."""
         vertices = self.modes.displaced(np.zeros_like(before.at.vertices), moved)
-        # Further away the image is not linear.
+        # Moves are limited to a width of the PSF: beyond that the image is not linear.
         far = float(np.abs(vertices).max()) / before.posterior.level.width
         vertices = before.at.vertices + vertices / max(far, 1.0)
         own = _of_part(effects)
@@ -165,7 +165,7 @@ class PartModel:
         return Settled(state, posterior, at, now, self._linearised(posterior, at, now))
 
     def _holds_for(self, state: FitState) -> bool:
-        """Whether images are padded, and sharp, enough for what was found."""
+        """Whether rendered images have enough padding and resolution for the PSF and effects."""
         renderer = self._posed.renderer
         planned = renderer.scene.optics
         sharp = np.greater_equal(state.optics.width(), planned.width()).all()
@@ -173,7 +173,7 @@ class PartModel:
         return bool(sharp) and padded
 
     def with_voxels(self, settled: Settled, index: IntArray) -> Linearised:
-        """With other voxels left in: (N,) flat indices into the part; their residual last."""
+        """The linearisation with further voxels, (N,) flat indices into the part, at its end."""
         at, now = settled.at, settled.now
         posterior = self._of_voxels(settled.posterior, at, now, index)
         residual, root = self._residual(posterior, at, now)
@@ -182,7 +182,7 @@ class PartModel:
         return settled.linearised.with_voxels(columns, residual * root)
 
     def density_columns(self, settled: Settled, fields: FloatArray) -> FloatArray:
-        """(N, M) for a coefficient of 1 of each field (M, F) of the logarithm of the density."""
+        """(N, M) derivatives of the image by fields (M, F) of the logarithm of the density."""
         found = _dimmed(settled.posterior, settled.at, settled.now, fields)
         return np.stack(found, 1)
 
@@ -194,7 +194,7 @@ class PartModel:
     def _of_voxels(
         self, posterior: Posterior, at: Variables, now: Evaluation, index: IntArray
     ) -> Posterior:
-        """The objective of other voxels: evidence lies further from a surface than a fit looks."""
+        """The objective on other voxels: evidence lies further from surfaces than a fit looks."""
         which = torch.from_numpy(index).to(posterior.level.device)
         effects = posterior.prior.imaging.effects_of(at.effects)
         return posterior.with_voxels(posterior.level.weighted(which, now.rendered, effects))
@@ -209,7 +209,7 @@ class PartModel:
         return residual, 1 / np.sqrt(self._variance(as_floats(voxels.measured) - residual))
 
     def _on_surface(self, posterior: Posterior, at: Variables, now: Evaluation) -> list[FloatArray]:
-        """(N,) each: for shape modes, and fields of the density."""
+        """Derivatives, (N,) each, by the shape modes and the fields of the density."""
         shown = _Shown(posterior, self._part.mesh.faces, now)
         before, which, columns = np.zeros(0), np.zeros(0, bool), list[FloatArray]()
         for field in self.modes.fields:
@@ -238,9 +238,9 @@ class PartModel:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """(N,) what changes of an image where some vertices (V,) move; of amplitude 1.
+    """The image, (N,) with amplitude 1, as far as it changes when some vertices (V,) move.
 
-    Of membranes alone, only faces that move are rendered. faces : (F, 3).
+    With membranes alone, only faces that move are rendered. faces : (F, 3).
     """
 
     posterior: Posterior
@@ -256,14 +256,17 @@ class _Shown:
 
 
 def _of_part(effects: Effects) -> Effects:
-    """Those of its image; which voxels of the whole one tell nothing is told already."""
+    """The effects without a second view and without those that leave out voxels, except detectors.
+
+    Which voxels tell nothing is already decided for the whole image.
+    """
     detector = effects.detector
     effects = effects.in_role(ViewEffect, None).in_role(VoxelEffect, None)
     return effects if detector is None else effects.adding(detector)
 
 
 def _solved_for(posterior: Posterior, at: Variables, now: Evaluation) -> list[FloatArray]:
-    """(N,) each: for amplitude and background, and what is inside."""
+    """Derivatives, (N,) each, by amplitude, background, and brightness of insides."""
     image = as_floats(posterior.views[0].voxels.of(now.rendered))
     alone = [posterior.images(at, one)[0] for one in following_insides(now.light)]
     return [image, np.ones(len(image)), *alone]
@@ -272,7 +275,7 @@ def _solved_for(posterior: Posterior, at: Variables, now: Evaluation) -> list[Fl
 def _dimmed(
     posterior: Posterior, at: Variables, now: Evaluation, fields: FloatArray
 ) -> list[FloatArray]:
-    """(N,) each: what the image changes by where membranes are brighter by such a share."""
+    """Derivatives, (N,) each, by relative changes of the brightness of membranes (M, F)."""
     own = posterior.prior.density.faces_numpy(at.density)
     by = now.match.amplitude * now.light.membrane
     return [posterior.membranes(at, by * own * field) for field in fields]

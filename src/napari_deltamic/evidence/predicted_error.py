@@ -1,4 +1,4 @@
-"""How far the surfaces of a fit are thought to be from the true ones, cell by cell."""
+"""How far the surfaces of a fit are expected to be from the true ones, cell by cell."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from .fainter_membranes import fainter_membranes
 
 @dataclass(frozen=True)
 class PredictedErrorRules:
-    """Which alternatives count, and what is added for what no alternative tells.
+    """Which alternatives count, and what is added for errors that no alternative shows.
 
     Attributes
     ----------
     as_good
-        Of what the best alternative gains: then it is as likely.
+        Share of the best alternative's gain from which on another counts: it is then as likely.
     times
-        What surfaces are off by, over what the fit itself tells of it: no model is right in all.
+        Actual error of surfaces over what the fit itself tells of it: no model is entirely right.
         Measured on 54 scenes (``benchmarks.defaults`` on f7b2103) and 52 random ones, without those
         graded poor: 1.45 and 1.60 in the median, 0.97 and 1.09 with this, and two thirds within
-        0.73 to 1.2 and 0.72 to 2.2. A multiple of alternatives as well scatters more.
+        0.73 to 1.2 and 0.72 to 2.2. Scaling the alternatives as well would scatter more.
     """
 
     as_good: float = 0.5
@@ -52,24 +52,24 @@ _INSIDE = "light inside"
 
 @dataclass(frozen=True)
 class ShapeDeviation:
-    """Of the surface of one cell, or of all: um, root of the mean square over it.
+    """Predicted error of the surface of one cell, or of all: root mean square over it, um.
 
-    What lies outside of the image is a guess, and left out, unless all of a cell does.
-    Displacements along the normal, each averaged over a patch as wide as the PSF.
+    Displacements are along the normal, each averaged over a patch as wide as the PSF. What lies
+    outside of the image is a guess and left out, unless all of a cell does.
 
     Attributes
     ----------
     noise
-        What other noise of the same kind would move it by; the misfit of the model is in it, as
-        the variance is that of the residuals.
+        Displacement by other noise of the same kind; it includes the misfit of the model, as the
+        variance is that of the residuals.
     settling
-        What more iterations would.
+        Displacement by further iterations.
     prior
-        What the prior on its shape pulls.
+        Displacement due to the prior on shape.
     triangles
-        How far flat triangles lie from a surface as curved as theirs is.
+        Distance of flat triangles from the curved surface that they stand for.
     alternative
-        What it would move by if the model had what it lacks.
+        Displacement if the model had what it lacks.
     """
 
     noise: float
@@ -80,11 +80,11 @@ class ShapeDeviation:
 
     @property
     def total(self) -> float:
-        """All together."""
+        """The total error, um: all parts, added in squares."""
         return float(np.linalg.norm(list(self.shares().values())))
 
     def shares(self) -> dict[str, float]:
-        """What each part adds to the total, by its name; all but the last count ``times``."""
+        """What each part adds to the total, um, by name; all but the last times ``times``."""
         parts = {name: RULES.times * part for name, part in asdict(self).items()}
         return {**parts, "alternative": self.alternative}
 
@@ -96,11 +96,11 @@ class PredictedError:
     Attributes
     ----------
     whole, cells
-        Of all surfaces, and of each cell by its number.
+        Error of all surfaces, and of each cell by its number.
     lacks
-        The alternative that explains most of what is left; empty where none does.
+        The likely alternative that moves the surfaces most; "" if there is none.
     unknown
-        Why there are none; empty where there are.
+        Why there are no predicted errors; "" if there are.
     cone
         Whether the image shows the light cone of an objective, which the fitted PSF lacks.
     """
@@ -113,12 +113,11 @@ class PredictedError:
 
 
 def predicted_error(job: FitInput, state: FitState) -> PredictedError:
-    """The errors of the end of a fit, from what it gives way to there.
+    """The predicted errors at the end of a fit, from how the surfaces respond to changes there.
 
-    The standard deviation of a displacement is that of H^-1 J' W r with the residuals r, each with
-    a sign by lot; an alternative is a further column of the image (another width of the PSF, light
-    inside, an effect), and moves the surface by its best amplitude times what the surface follows
-    it by.
+    The standard deviation of a displacement is that of H^-1 J' W r for the residuals r with random
+    signs. An alternative is a further column of the image (another width of the PSF, light inside,
+    an effect); it moves the surface by its best amplitude times the response of the surface.
     """
     try:
         settings = job.settings.fit
@@ -152,14 +151,14 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
 
 
 def _in_image(mesh: Mesh, grid: Grid) -> np.ndarray:
-    """(V,) bool: vertices within the voxels of an image."""
+    """(V,) bool: which vertices lie within the voxels of the image."""
     at = (mesh.vertices_numpy() - np.asarray(grid.origin)) / np.asarray(grid.voxel_size)
     inside: np.ndarray = ((at >= -0.5) & (at <= np.asarray(grid.shape) - 0.5)).all(1)
     return inside
 
 
 def _squared_gaps(mesh: Mesh) -> FloatArray:
-    """(V,) um^2: means over the faces of each vertex, of how far these lie from the surface."""
+    """(V,) squared distances (um^2) of faces from the curved surface, means at each vertex."""
     at, squares = mesh.faces.reshape(-1), np.repeat(gaps(mesh) ** 2, 3)
     n = len(mesh.vertices)
     found: FloatArray = np.bincount(at, squares, n) / np.maximum(np.bincount(at, minlength=n), 1)
@@ -167,11 +166,11 @@ def _squared_gaps(mesh: Mesh) -> FloatArray:
 
 
 def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[str, FloatArray]:
-    """What the model lacks, and (V, 3) what the surface would move by with it."""
+    """What the model lacks, "" for nothing, and how the surface would move with it, (V, 3) um."""
     tried = responses.alternatives(_lacking(posed, responses, state))
     best = max((one.gain for one in tried), default=0.0)
     likely = [one for one in tried if one.gain >= max(REFITS.sure, RULES.as_good * best)]
-    # Around dark nuclei, fits of both have been held against insides alone.
+    # Around dark nuclei, fits of both have already been compared with insides alone.
     membranes = None if state.dimmed is not None else fainter_membranes(posed, responses, state)
     if membranes is not None:
         likely.append(membranes)
@@ -184,7 +183,7 @@ def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[s
 def _lacking(
     posed: Posed, responses: Responses, state: FitState
 ) -> Iterator[tuple[str, FloatArray]]:
-    """What the model may lack, and its columns (N, m); of large images only one fits in memory."""
+    """What the model may lack, with its columns (N, m), one at a time as memory may be short."""
     if not len(posed.at.optics):
         yield _OTHER_PSF, posed.posterior.psf_columns(posed.at)
     if not state.light.interior and state.mesh.is_closed():
@@ -217,7 +216,7 @@ class _Patches:
         self._normals = vertex_normals(state.mesh.vertices_numpy(), state.mesh.faces)
 
     def means(self, displaced: FloatArray) -> FloatArray:
-        """(V,) along the normals, of displacements (V, 3)."""
+        """(V,) mean displacements along the normals, from displacements (V, 3)."""
         return self._patches.means((displaced * self._normals).sum(1))
 
 

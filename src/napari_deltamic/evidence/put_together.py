@@ -36,24 +36,24 @@ def put_together(
     second: NDArray[Any] | None = None,
     ground: bool = True,
 ) -> FitInput:
-    """A fit that is ready to run. May take seconds.
+    """The inputs of a fit, ready to run. May take seconds.
 
-    Hot voxels, which are told of, are missing in its image: whatever follows goes without them.
+    Hot voxels are reported and then missing in its image, so that nothing that follows uses them.
 
     Parameters
     ----------
     image : (Z, Y, X); NaN where missing.
-    start : makes the mesh, from the image without what effects add to it, says how near to
-        the membranes it lies, and which points (n, 3) um it was made for, if any.
-    tell : called before that with the scene to be fitted; a sentence on its background, '' where
-        that is even; and whether the image told how wide the PSF is.
-    second : (Z, Y, X) second view, where it is in no file.
-    ground : whether the background may be found uneven.
+    start : makes the mesh from the image without what effects add to it; also returns how near to
+        the membranes it lies, and the points (n, 3) um that it was made for, if any.
+    tell : called before that with the scene to be fitted, a sentence on its background ('' if that
+        is even), and whether the image told how wide the PSF is.
+    second : (Z, Y, X) second view, if it is not in a file.
+    ground : whether an uneven background may be looked for.
 
     Raises
     ------
     InputError
-        Where something cannot be used.
+        If something cannot be used.
     """
     as_read = image
     doing("looking at the image")
@@ -83,7 +83,7 @@ def start_of(
 
 
 def _crowded(mesh: Mesh, grid: Grid, points: FloatArray) -> frozenset[int]:
-    """Regions that several points lie in."""
+    """Regions in which several points lie."""
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     index = np.floor((points - np.asarray(grid.origin)) / np.asarray(grid.voxel_size) + 0.5)
     index = index[((index >= 0) & (index < grid.shape)).all(1)].astype(int)

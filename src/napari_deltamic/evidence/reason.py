@@ -1,4 +1,4 @@
-"""Why a fit or a cell is no better than it is: a grade, and a reason for it."""
+"""Why a fit or a cell is not better graded: a grade, and the reason for it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
 
 @dataclass(frozen=True)
 class Reason:
-    """Why something is no better.
+    """Why something is not better graded.
 
-    kind : what it is about, in a word; what is shown where is decided by it, never by the text.
-    grade : the best that it leaves.
-    text : for users.
+    kind : what it is about, in a word; code goes by this, never by the text.
+    grade : the best grade that it allows.
+    text : the reason for users.
     """
 
     kind: str
@@ -25,26 +25,26 @@ class Reason:
 
 
 def texts(reasons: Iterable[Reason]) -> tuple[str, ...]:
-    """What they say."""
+    """The texts of reasons."""
     return tuple(reason.text for reason in reasons)
 
 
 def worst(grades: Iterable[Grade]) -> Grade:
-    """The worst of them; good where there are none."""
+    """The worst of some grades; good if there are none."""
     return max(grades, key=GRADES.index, default="good")
 
 
 def fair_if(enough: bool) -> Grade:
-    """What is left of a grade where something is not as it should be, but may be enough."""
+    """The grade if something is not as it should be: fair if it is enough, else poor."""
     return "fair" if enough else "poor"
 
 
 def unexplained(share: float | None, least: float, enough: float, where: str) -> Reason | None:
-    """Where less than ``least`` of the signal is explained; less than ``enough`` is poor."""
+    """A reason if less than ``least`` of the signal is explained; poor if less than ``enough``."""
     if share is None or not share < least:
         return None
-    # In words where it is no share: a model may be further from the image than none. Less than
-    # this is rounded to 0 %, by definition.
+    # "None" if it is not a share: a model can fit worse than no model. Less than this is rounded to
+    # 0 %, by definition.
     much = f"{share:.0%}" if share >= 0.005 else "none"
     text = f"{much} of the signal around {where} is explained"
     return Reason("explained", fair_if(share >= enough), text)

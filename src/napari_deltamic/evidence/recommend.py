@@ -1,4 +1,4 @@
-"""Which effects a scene calls for, with evidence, predicted bias of the shape and price."""
+"""Which effects a scene calls for, with evidence, predicted bias of the shape, and cost."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ class Evidence:
     Attributes
     ----------
     name
-        Of the effect.
+        Name of the effect.
     score
         Standard deviations by which the image asks for it; see :func:`.score.score`.
     bias_nm, bias_voxels
-        Root mean square distance by which the surface is off without it, as predicted; voxels by
-        their smallest side.
+        Predicted root mean square error of the surface without it, in nm and in smallest voxel
+        sides.
     cost_ms
-        What an iteration at full resolution takes longer with it, as predicted from what it states
-        and from the time that a rendering of the scene took.
+        Predicted further time that an iteration at full resolution takes with it, ms, from the cost
+        that it states and the time that a rendering of the scene took.
     recommended
-        Whether to take it.
+        Whether to add it.
     reason
         Why, in plain words.
     """
@@ -64,17 +64,17 @@ class Recommendation:
     Attributes
     ----------
     effects
-        Those that were there, and those recommended, with first estimates of their numbers.
+        Those already present, and those recommended, with first estimates of their numbers.
     evidence
         One for each candidate: those recommended first, then by score.
     threshold
-        Score from which on an effect counts as seen.
+        Score above which an effect counts as seen.
     scene
-        What was fitted in the end, of the part of the image that was judged.
+        The final fit of the part of the image that was judged.
     camera
         What the image tells about its camera.
     remarks
-        What a reader should know besides, in plain words.
+        What else a reader should know, in plain words.
     """
 
     effects: Effects
@@ -106,11 +106,11 @@ def recommend(
     """Decide which effects an image calls for.
 
     The scene is fitted without them. The candidate with the largest score above the threshold is
-    added, the scene refitted, and so on, one at a time, because effects pass for one another. What
-    in the end is not clear beside all the misfit that is left, or moves the surface by less than
-    0.02 voxel, is left out. All but the prices is deterministic.
+    added and the scene refitted, and so on, one at a time, because one effect can be mistaken for
+    another. In the end, effects are left out that are not significant compared with the remaining
+    misfit, or move the surface by less than 0.02 voxel. All but the costs is deterministic.
 
-    A second view is data, not a choice that one image could tell, and so is no candidate.
+    A second view is data, which no single image can call for, and so is not a candidate.
 
     Parameters
     ----------
@@ -119,16 +119,16 @@ def recommend(
     candidates
         Names of effects to consider; all by default.
     effects
-        Those that are in the scene already, and stay.
+        Effects that are in the scene already, and stay.
     fitted
-        Last state of a fit of this image with ``effects``, which is then not done again.
+        Last state of a fit of this image with ``effects``, which is then not repeated.
     progress
         Called with a line before each step.
 
     Raises
     ------
     InputError
-        As :func:`napari_deltamic.fit` does, and where a candidate is unknown.
+        As :func:`napari_deltamic.fit` does, and if a candidate is unknown.
     """
     settings = settings or FitSettings()
     present = as_effects(effects)
@@ -173,7 +173,7 @@ def recommend_for(
 ) -> Recommendation:
     """Decide which effects the image of a fit calls for; see :func:`recommend`.
 
-    fitted : the last state of this fit, where it was done: the effects have the numbers it found.
+    fitted : the last state of this fit, if already done; its effects have the numbers found there.
     """
     return recommend(
         job.image,
@@ -229,10 +229,10 @@ def _outcome(
 def with_detection(
     found: Recommendation, search: Search, pixels: np.ndarray, known: np.ndarray
 ) -> Recommendation:
-    """The recommendation with the effects of detection, which leave voxels out.
+    """The recommendation with effects of detection, which leave voxels out.
 
-    They need no score: that a voxel is full, or a slice the same everywhere, is seen. What counts
-    is by how much such voxels move the surface where they are left in.
+    They need no score: saturated voxels and uniform slices are plain to see. What counts is how far
+    such voxels would move the surface if left in.
     """
     voxel, detection = min(search.part.grid.voxel_size), _detection(found.camera, pixels)
     rows, effects = list(found.evidence), found.effects
@@ -252,7 +252,7 @@ def with_detection(
 
 
 def _detection(camera: Camera, pixels: np.ndarray) -> Detection:
-    """What the image tells of the camera; where it does not, the same noise for all voxels."""
+    """What the image tells about detection; if it shows no camera, equal noise in all voxels."""
     told, line = (camera.saturation.value, failed_slices(pixels)), camera.line
     if line is None:
         low, noise = float(pixels.min()), voxel_noise(pixels, np.ones(pixels.shape, bool))
@@ -264,7 +264,7 @@ def _detection(camera: Camera, pixels: np.ndarray) -> Detection:
 
 
 def _remarks(search: Search, voxel: float) -> tuple[str, ...]:
-    """What a reader should know besides."""
+    """What else a reader should know."""
     found = []
     part = search.part
     if len(part.cells) < part.of:

@@ -1,4 +1,4 @@
-"""Where a fitted scene does not explain the image: map, spots, and a verdict for each cell."""
+"""Where a fitted scene does not explain the image: map, spots, and the share for each cell."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ class Spot:
     Attributes
     ----------
     position
-        um, Z Y X: where it is clearest.
+        Where it is clearest, um, Z Y X.
     volume
-        um^3 above three standard deviations.
+        Volume above three standard deviations, um^3.
     z
-        Standard deviations there, below 0 where the image is darker.
+        Deviation at its position in standard deviations; below 0 if the image is darker.
     light
         Measured minus expected, summed over the spot, in the unit of the image.
     region
-        Of the nearest surface.
+        Region of the nearest surface.
     middle
-        um, Z Y X: of all of it; of a membrane that is bright all around, what it encloses.
+        Centre of mass, um, Z Y X; of a membrane that is bright all around, it lies inside.
     """
 
     position: tuple[float, float, float]
@@ -60,7 +60,7 @@ class CellFit:
     region
         The cell.
     explained
-        Share of what varies there beyond noise; None where nothing does.
+        Explained share of the variation there beyond noise; None where nothing varies.
     z
         Standard deviations by which the residual is larger than noise.
     """
@@ -77,16 +77,16 @@ class Residual:
     Attributes
     ----------
     map
-        (Z, Y, X) float32: measured minus expected, smoothed as the PSF is wide, in standard
+        (Z, Y, X) float32: measured minus expected, smoothed by the width of the PSF, in standard
         deviations of the noise; NaN where missing.
     spots
-        The clearest places, first those with the largest deviation.
+        The clearest places, largest deviation first.
     threshold
-        Standard deviations from which on a place is a spot.
+        Standard deviations above which a place is a spot.
     explained
-        Share of what varies beyond noise near the surfaces.
+        Explained share of the variation beyond noise near the surfaces; None where nothing varies.
     cells
-        The same for each.
+        The same for each cell.
     """
 
     map: np.ndarray
@@ -96,7 +96,7 @@ class Residual:
     cells: tuple[CellFit, ...]
 
     def shares(self) -> dict[int, float]:
-        """For a region, the share explained around it; without those of which it is not known."""
+        """The share explained around each region; regions for which it is unknown are left out."""
         return {c.region: c.explained for c in self.cells if c.explained is not None}
 
 
@@ -115,18 +115,18 @@ def analyse_residual(
     image
         (Z, Y, X) measured; NaN where missing.
     grid
-        Of the image.
+        Grid of the image.
     fitted
         Last state of a fit.
     counted
         (Z, Y, X) bool: voxels that counted in it.
     variance
-        Of a voxel, from its expected value; by default from the noise of the image.
+        Variance of voxels as a function of expected values; by default from the image's noise.
 
     Raises
     ------
     InputError
-        As :func:`napari_deltamic.fit` does for images, or if the fit is that of another image.
+        As :func:`napari_deltamic.fit` does for images, or if the fit is of another image.
     """
     pixels, known = _seen(image, grid)
     if counted is not None:
@@ -166,7 +166,7 @@ def analyse_residual(
 
 
 def residual_map(image: np.ndarray, grid: Grid, expected: np.ndarray, optics: Optics) -> np.ndarray:
-    """The map of :func:`analyse_residual`, of an image and what was expected of it.
+    """The map of :func:`analyse_residual`, from an image and the expected one.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def residual_map(image: np.ndarray, grid: Grid, expected: np.ndarray, optics: Op
 
 
 def _seen(image: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """The image, and where it is known: what no light has made is left out, as a fit does."""
+    """The image, and where it is known; hot voxels are left out, as in a fit."""
     pixels, known = check_image(image, grid)
     return pixels, known & ~hot_voxels(pixels, known)
 
@@ -202,7 +202,7 @@ def _with_gaps(smooth: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def highest_by_chance(voxels: int, sigma: np.ndarray) -> float:
-    """Standard deviations that smoothed noise exceeds, up or down, in one image of 20.
+    """Standard deviations that smoothed noise exceeds, up or down, in one image in 20.
 
     By the expected Euler characteristic of a Gaussian field (K. Worsley et al., J. Cereb. Blood
     Flow Metab. 12, 1992): ``R (4 ln 2)^(3/2) (2 pi)^-2 (z^2 - 1) exp(-z^2 / 2)`` with R the volume
@@ -219,9 +219,9 @@ def highest_by_chance(voxels: int, sigma: np.ndarray) -> float:
 
 
 def smoothed(deviation: np.ndarray, known: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Deviations (Z, Y, X) through a Gaussian, divided by what that leaves of white noise.
+    """Deviations (Z, Y, X) after a Gaussian filter, divided by what it leaves of white noise.
 
-    For light spread by the PSF this is the filter that shows it best. Missing voxels hold 0.
+    This is the filter that best shows light spread by the PSF. Missing voxels are 0.
     """
     total = gaussian_filter(deviation, sigma, mode="constant", truncate=4)
     # The noise that is left: the sum of the squared weights of known voxels, which are those of a
@@ -245,7 +245,7 @@ def _self_overlap(sigma: np.ndarray) -> float:
 def _surroundings(mesh: Mesh, grid: Grid, optics: Optics) -> tuple[np.ndarray, np.ndarray]:
     """Flat indices of the voxels near the surface, and the region of the nearest face.
 
-    A wall between two cells is counted to the one on its first side.
+    A wall between two cells counts for the one on its first side.
     """
     width = np.asarray(optics.sigma_um)
     size, origin = np.asarray(grid.voxel_size), np.asarray(grid.origin)
@@ -268,9 +268,10 @@ def _surroundings(mesh: Mesh, grid: Grid, optics: Optics) -> tuple[np.ndarray, n
 def _explained(
     values: np.ndarray, deviation: np.ndarray, weights: np.ndarray
 ) -> tuple[float | None, float]:
-    """Share of the variation beyond noise that the model explains, and how the residual exceeds it.
+    """Share of the variation beyond noise that is explained, and excess of the residual over noise.
 
-    ``values`` and ``deviation`` are in standard deviations of the noise, ``weights`` their inverse.
+    ``values`` and ``deviation`` are in standard deviations of the noise, ``weights`` their inverse;
+    the excess is in standard deviations.
     """
     n = len(values)
     mean = float((values * weights).sum() / (weights**2).sum())

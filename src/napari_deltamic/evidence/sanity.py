@@ -1,9 +1,9 @@
-"""Whether an image can be what it is said to be: a look of a second before a fit.
+"""Whether an image can be what it is said to be: a check of about a second before a fit.
 
-A wrong voxel size, a stack whose slices lean, cut brightness or its logarithm, an image without
-structure or of something else than the seeds, labels in its place, and time taken for depth all end
-in fits that mean nothing. None of them can be proved from one image; each leaves a mark that images
-in order hardly show.
+A wrong voxel size, slices that lean, saturated or logarithmic brightness, an image without
+structure or of something other than the seeds, labels instead of an image, and time taken for depth
+all lead to meaningless fits. None of them can be proved from one image, but each leaves traces that
+sound images hardly show.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ Pixels = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SanityRules:
-    """When something is said; chosen on the scenes of ``benchmarks.defaults.sanity``.
+    """When a doubt is raised; chosen on the scenes of ``benchmarks.defaults.sanity``.
 
     Attributes
     ----------
     voxel_sides
-        um; least and largest side of a voxel in the plane of a light microscope. Chosen, not
+        Least and largest side of a voxel in the plane of a light microscope, um. Chosen, not
         measured: from super-resolution to light sheets of whole animals.
     oblong
-        The longer over the shorter side of a voxel in the plane. Chosen: cameras and scanners have
-        square pixels, so one that is not is most often the step along Z in another's place.
+        Largest ratio of the sides of a voxel in the plane. Chosen: cameras and scanners have square
+        pixels, so in another one the step along Z is most likely in the wrong place.
     psf_ratios
         Width of the PSF along Z over that in the plane. Light microscopes reach from 1 (a thin
         sheet) to about 6 (widefield, low aperture); a wrong step of Z multiplies it. Measured: 0.76
         to 4.8 in images in order, 0.20 to 0.23 where the step is a quarter of what it was.
     elongations
-        Length of structures along Z over that in the plane, from where their surfaces face.
+        Length of structures along Z over that in the plane, from the directions of their surfaces.
         Measured: 0.73 to 2.4 in order, 0.39 to 0.6 and 1.9 to 4.1 where the step is wrong. Spread
         cells are flat, red blood cells 0.33 to 0.59, so the lower bound is below all of these: a
         step that is too small shows in the PSF, too.
@@ -58,8 +58,8 @@ class SanityRules:
         Measured: 2.4 in order where structures are long (widefield), 3.3 to 4.5 where the step is
         wrong; 0.7 in a real stack of red blood cells.
     lean
-        um in the plane per um along Z: of a stage that moves at 30 to 60 degrees to the plane, 0.6
-        to 1.7.
+        Shift in the plane, um per um along Z: a stage that moves at 30 to 60 degrees to the plane
+        would give 0.6 to 1.7.
     structure
         Standard deviation of the smoothed image over that of noise alone. Measured: 7 or more in
         order, 1.0 where there is only noise.
@@ -72,9 +72,9 @@ class SanityRules:
         in scenes whose seeds were half a radius off or had six bright neighbours, 0.09 at most with
         seeds of another image.
     flat
-        Of the voxels that have another than the commonest value, share that have a neighbour of
-        their own value along each axis. Measured: 0.98 in label images, 0.07 at most in ten stacks,
-        also with 16 grey levels; a smooth one needs less than ten levels to have more than 0.6.
+        Among the voxels without the most frequent value, the share with a neighbour of equal value
+        along each axis. Measured: 0.98 in label images, 0.07 at most in ten stacks, even with 16
+        grey levels; a smooth image has more than 0.6 only with fewer than ten levels.
     """
 
     voxel_sides: tuple[float, float] = (0.015, 5.0)
@@ -99,7 +99,7 @@ class Doubt:
 
 
 RULES = SanityRules()
-_AROUND = 2.0  # radii of the seeds: the ground that is to follow them
+_AROUND = 2.0  # radii of the seeds: the surroundings in which the image should follow them
 _VOXELS = 4_000_000  # of the middle of the image: more would take longer than a second
 _DETAIL = 2.0, 6.0  # voxels; chosen: finer is noise, coarser is light out of focus
 _SMOOTHED = 1.5  # voxels: about as wide as a PSF, so that it stands out best
@@ -113,7 +113,7 @@ def doubts(
     *,
     close: bool = False,
 ) -> tuple[Doubt, ...]:
-    """What speaks against an image, its voxel size and its seeds; usually nothing.
+    """Doubts about an image, its voxel size and its seeds; usually none.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ def doubts(
     origin
         um; centre of the first voxel.
     close
-        Whether the seeds follow this image, or are labels of it: their shapes are then shapes of
-        the image.
+        Whether the seeds were found in this image, or are labels of it, so that their shapes are
+        those in the image.
     """
     pixels = np.asarray(image)
     if pixels.ndim != 3 or min(pixels.shape) < 4 or not np.isfinite(pixels).any():
@@ -169,7 +169,7 @@ def doubts(
 
 
 def tell_doubts(job: FitInput) -> tuple[Doubt, ...]:
-    """The doubts about what a fit is to work on, each also as a DoubtWarning."""
+    """The doubts about the inputs of a fit, each also raised as a DoubtWarning."""
     found = doubts(
         levelled(np.asarray(job.image), job.grid, job.settings.scene.effects),
         job.grid.voxel_size,
@@ -183,7 +183,7 @@ def tell_doubts(job: FitInput) -> tuple[Doubt, ...]:
 
 
 def _middle(shape: tuple[int, ...]) -> tuple[slice, ...]:
-    """The middle of the plane; all slices, since they are compared."""
+    """Slices of the middle of the plane, with all of Z, since slices are compared."""
     share = min(1.0, (_VOXELS / np.prod(shape, dtype=float)) ** 0.5)
     kept = [max(1, int(n * share)) for n in shape[1:]]
     plane = (slice((n - k) // 2, (n - k) // 2 + k) for n, k in zip(shape[1:], kept, strict=True))
@@ -194,7 +194,7 @@ def _middle(shape: tuple[int, ...]) -> tuple[slice, ...]:
 
 
 def structured(pixels: Pixels) -> float:
-    """Standard deviation of the smoothed image over what noise of its voxels leaves there."""
+    """Standard deviation of the smoothed image over that of its smoothed noise."""
     noise = voxel_noise(pixels, np.ones(pixels.shape, bool))
     smooth = gaussian_filter(pixels, _SMOOTHED)
     # By definition a Gaussian leaves 1 / (2 sqrt(pi) width) of the variance along each axis.
@@ -203,10 +203,10 @@ def structured(pixels: Pixels) -> float:
 
 
 def lasting(pixels: Pixels) -> float:
-    """Mean correlation of slices that are half a stack or more apart; the least that the first and
-    last quarter of the stack hold of the contrast of all counts too.
+    """Mean correlation of slices that are half a stack or more apart, times (1 at most) the
+    contrast of slices at the end of the stack that has less of it, over the median contrast.
 
-    Of detail alone: what is smooth in the plane lasts through the depth of a widefield stack, too.
+    For fine detail only: what is smooth in the plane persists through depth in widefield, too.
     """
     smooth = gaussian_filter(pixels, (0, _DETAIL[0], _DETAIL[0]))
     smooth -= gaussian_filter(smooth, (0, _DETAIL[1], _DETAIL[1]))
@@ -222,7 +222,7 @@ def lasting(pixels: Pixels) -> float:
 
 
 def flat(pixels: Pixels) -> bool:
-    """Whether the image consists of pieces of one value each, as labels and masks do."""
+    """Whether the image consists of pieces with one value each, as labels and masks do."""
     values, counts = np.unique(pixels, return_counts=True)
     other = pixels != values[counts.argmax()]
     alike = other.copy()
@@ -236,9 +236,9 @@ def flat(pixels: Pixels) -> bool:
 
 
 def elongation(pixels: Pixels, voxel_size: tuple[float, float, float], seeds: Mesh | None) -> float:
-    """Length of structures along Z over that in the plane, from where surfaces face.
+    """Length of structures along Z over that in the plane, from the directions of surfaces.
 
-    The mean square of the Z part of the normals of an ellipsoid tells the ratio of its axes.
+    The mean square of the Z component of an ellipsoid's normals tells the ratio of its axes.
     """
     facing = _facing_of(pixels, voxel_size) if seeds is None else _facing_of_mesh(seeds)
     return float(np.exp(np.interp(-facing, -_FACING, _LOG_RATIOS)))
@@ -250,7 +250,7 @@ def _facing_of_mesh(mesh: Mesh) -> float:
 
 
 def _facing_of(pixels: Pixels, voxel_size: tuple[float, float, float]) -> float:
-    """Of the image: gradients after a blur that is as wide in every direction."""
+    """Mean square of the Z component of surface normals in the image, from isotropic gradients."""
     size = np.asarray(voxel_size)
     width = _SMOOTHED * float(size.max())
     blurred = pixels
@@ -265,8 +265,8 @@ def _facing_of(pixels: Pixels, voxel_size: tuple[float, float, float]) -> float:
 
 
 def _facing_table() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean square of the Z part of normals over spheroids of many ratios of axes."""
-    logs = np.linspace(-2.5, 2.5, 41)  # ratios up to 12, further than any that could be doubted
+    """Mean square of the Z component of a spheroid's normals, and the log of its axis ratio."""
+    logs = np.linspace(-2.5, 2.5, 41)  # ratios up to 12, more than any that could be doubted
     t = (np.arange(4000) + 0.5) / 4000 * np.pi / 2  # from the pole
     found = []
     for ratio in np.exp(logs):
@@ -281,10 +281,10 @@ _FACING, _LOG_RATIOS = _facing_table()
 
 
 def followed(pixels: np.ndarray, grid: Grid, seeds: Mesh) -> float:
-    """Share of the variance of the image around the seeds that the way to their surface explains.
+    """Share of the image's variance around the seeds that the distance to their surface explains.
 
-    Distances, negative inside, are put into classes of an eighth of a radius; what the means of
-    the classes explain is what any light of membranes, insides or haze around them would.
+    Distances, negative inside, are grouped into classes of an eighth of a radius; the means of the
+    classes explain as much as any light of membranes, insides or haze around them could.
     """
     labels = voxel_labels(seeds, grid.shape, grid.voxel_size, grid.origin)
     surface = surface_voxels(seeds, grid)
@@ -318,7 +318,7 @@ def oblong(voxel_size: tuple[float, float, float]) -> tuple[float, float] | None
 
 
 def oblong_told(sides: tuple[float, float]) -> str:
-    """What users are told of voxels that are not square in the plane; um along Y and X."""
+    """The sentence for users on voxels that are not square in the plane; sides along Y, X in um."""
     return (
         f"voxels are {sides[0]:g} um along Y but {sides[1]:g} um along X, which is unusual for a "
         "microscope: is the voxel size in the order Z Y X?"

@@ -1,4 +1,4 @@
-"""The efficient score of an effect: whether the image asks for it, whatever shape could explain."""
+"""The efficient score of an effect: how far the image calls for it beyond what shape explains."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.special import ndtri_exp
 from .evidence_rules import JUDGING
 from .linearised import Linearised
 
-_RANK = 1e-6  # of what numbers tell: less is none. Measured: 1e-9 and 1e-3 change no score
+_RANK = 1e-6  # share of information that counts as none. Measured: 1e-9 and 1e-3 change no score
 
 
 @dataclass(frozen=True)
@@ -21,16 +21,16 @@ class Score:
     Attributes
     ----------
     z
-        Standard deviations: of one number with its sign, of several those that are as unlikely.
-        Relative to all that the residual varies by, near and far.
+        Standard deviations: for one number with its sign, for several the equally unlikely value.
+        Relative to all variation of the residual, near and far.
     near
-        The same relative to what it varies by from one small block to the next.
+        The same relative to its variation from one small block to the next.
     estimate
-        (P,) the effect's numbers, in the units of the columns.
+        (P,) estimated change of the effect's numbers, in the units of the columns.
     shape
-        (K,) by how much the shape modes are off where the effect is left out.
+        (K,) error of the shape modes if the effect is left out.
     hidden
-        Whether shape and the rest can pass for the effect altogether.
+        Whether shape and the rest could explain all of the effect.
     """
 
     z: float
@@ -43,20 +43,20 @@ class Score:
 def score(at: Linearised, columns: np.ndarray, blocks: Sequence[np.ndarray]) -> Score:
     """The score of an effect that is not in the scene.
 
-    ``z = g'W(y - I) / sqrt(g'Wg)``, g being the columns less all that the fitted numbers explain of
-    them (C. R. Rao's efficient score). Where the residual of neighbouring voxels is related,
-    because the model is not all there is to the image, g'Wg is too small a variance: that of the
-    sums over blocks takes its place (the sandwich of P. Huber and H. White). How far residuals are
-    related is not known, so that several sizes of blocks are tried and the largest variance counts.
+    ``z = g'W(y - I) / sqrt(g'Wg)``, where g are the columns minus all that the fitted numbers
+    explain of them (C. R. Rao's efficient score). If residuals of neighbouring voxels are
+    correlated, because the model does not explain everything, g'Wg is too small a variance: that of
+    sums over blocks takes its place (the sandwich of P. Huber and H. White). As the range of the
+    correlation is not known, several block sizes are tried and the largest variance counts.
 
     Parameters
     ----------
     at
         Derivatives and residual of the scene without the effect.
     columns
-        (N, P) derivatives of the expected image in the effect's numbers.
+        (N, P) derivatives of the expected image by the effect's numbers.
     blocks
-        (N,) numbers of the blocks that each voxel lies in, from 0 on; from small blocks to large.
+        For each block size, from small to large: (N,) number of each voxel's block, from 0.
     """
     g = columns * at.root[:, None]
     size = np.linalg.norm(g, axis=0)
@@ -84,7 +84,7 @@ def score(at: Linearised, columns: np.ndarray, blocks: Sequence[np.ndarray]) -> 
 def _excess(
     free: np.ndarray, residual: np.ndarray, information: np.ndarray, blocks: np.ndarray
 ) -> float:
-    """How many times larger the variance of the score is than the weights say; 1 at least."""
+    """How many times larger the variance of the score is than the weights imply; at least 1."""
     sums = np.stack([np.bincount(blocks, free[:, k] * residual) for k in range(free.shape[1])], 1)
     ratio = np.linalg.lstsq(information, sums.T @ sums, rcond=_RANK)[0]
     return max(1.0, float(np.trace(ratio)) / free.shape[1])
@@ -107,7 +107,10 @@ def equivalent_z(surprise: float, numbers: int) -> float:
 def block_sizes(
     index: np.ndarray, shape: tuple[int, int, int], width: np.ndarray
 ) -> list[np.ndarray]:
-    """Blocks from a few widths of the PSF (3,) voxels on, as long as there are enough of them."""
+    """Blocks of increasing size, as long as there are enough of them; width : PSF (3,), voxels.
+
+    Returns (N,) block numbers for each size.
+    """
     found: list[np.ndarray] = []
     for size in JUDGING.blocks:
         blocks = blocks_of(index, shape, np.maximum(np.rint(size * width), 3))
@@ -118,7 +121,7 @@ def block_sizes(
 
 
 def blocks_of(index: np.ndarray, shape: tuple[int, int, int], side: np.ndarray) -> np.ndarray:
-    """(N,) numbers of the blocks, of so many voxels (3,) a side, that flat indices lie in."""
+    """(N,) numbers of the blocks in which flat indices lie; side : (3,) voxels per block."""
     at = np.stack(np.unravel_index(index, shape)) // np.maximum(side.astype(int), 1)[:, None]
     whole = np.ravel_multi_index(tuple(at), tuple(at.max(1) + 1))
     found: np.ndarray = np.unique(whole, return_inverse=True)[1].reshape(-1)

@@ -1,4 +1,4 @@
-"""The search for the effects that an image calls for: add the clearest, fit again, repeat."""
+"""The search for the effects that an image calls for: add the clearest, refit, repeat."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _AT_BOUND = "it fits only with a parameter at its bound, so something else resem
 
 @dataclass(frozen=True)
 class Judged:
-    """An effect, its score, and whether it is among those chosen."""
+    """An effect, its score, and whether it is in the scene."""
 
     effect: Effect
     score: Score
@@ -44,15 +44,15 @@ class Search:
     usable
         (Z, Y, X) bool: voxels that may count.
     grid
-        Of the image.
+        Grid of the image.
     fitted
         Last state of a fit.
     effects
-        That the fit had; they stay.
+        Effects of that fit; they stay.
     variance
-        Of voxels, from the expected image.
+        Variance of voxels as a function of the expected image.
     settings
-        Of the fit: whether the PSF and what of the density was fitted.
+        Settings of the fit: whether the PSF was fitted, and how the density.
     candidates
         How many effects are considered.
     """
@@ -74,9 +74,9 @@ class Search:
         index = part.index
         self.blocks = block_sizes(index, part.grid.shape, width / np.asarray(grid.voxel_size))
         self.held = effects.names
-        self.dropped: dict[str, str] = {}  # name -> why; they are not taken twice
+        self.dropped: dict[str, str] = {}  # name -> reason; these are not added again
         self.model = PartModel(part, image, grid, variance, settings)
-        # The criterion of G. Schwarz for one more number, with a share for each that is tried.
+        # G. Schwarz's criterion for one further number, corrected for the number of candidates.
         self.threshold = sqrt(log(len(index)) + 2 * log(max(candidates, 1)))
         even = np.ones(len(part.mesh.faces))
         weights = even if part.density is None else part.density
@@ -89,15 +89,15 @@ class Search:
 
     @property
     def scene(self) -> FitState:
-        """What was fitted, of the part that is judged."""
+        """The fit of the part that is judged."""
         return self.now.state
 
     def run(self, names: tuple[str, ...], tell: Callable[[str], None]) -> None:
         """Add the clearest effect and refit until none is left above the threshold.
 
-        What is still missing of an image passes for misfit far and wide. So effects are added by
-        what they explain beside the misfit nearby, and in the end only those stay that are clear
-        beside all the misfit that is left.
+        Effects that are still missing cause misfit far and wide. So effects are added by what they
+        explain compared with the misfit nearby, and in the end only those stay that are clear
+        compared with all the misfit that is left.
         """
         for _ in range(JUDGING.most_rounds):
             left = (n for n in names if n not in {*self.dropped, *self.scene.effects.names})
@@ -124,16 +124,16 @@ class Search:
         self._take_up(self.model.with_effects(self.now, effects, -best.score.shape))
 
     def _drop_least(self, size: Callable[[Score], float], why: str) -> str | None:
-        """Take out the effect of the smallest score if it is not above the threshold.
+        """Remove the effect with the smallest score unless it is above the threshold; its name.
 
-        One with a number at its bound stands for something else, and is not told.
+        An effect with a number at its bound stands for something else, and counts as score 0.
         """
         chosen = [n for n in self.scene.effects.names if n not in self.held]
         if not chosen:
             return None
 
         def told(judged: Judged) -> float:
-            # One without numbers that the image wants less than nothing of is not there.
+            # An effect without numbers is not there if its score is negative.
             unwanted = not judged.effect.bounds and judged.score.z < 0
             odd = unwanted or beyond_bounds(judged.effect)
             return 0.0 if odd else size(judged.score)
@@ -148,7 +148,7 @@ class Search:
         return name
 
     def judged(self, name: str) -> Judged:
-        """The score of an effect beside all that are chosen, itself left out if it is."""
+        """The score of an effect given all others in the scene; cached until the next refit."""
         if name not in self._judged:
             self._judged[name] = self._judge(name)
         return self._judged[name]
@@ -164,11 +164,11 @@ class Search:
         return max(found, key=lambda j: abs(j.score.z))
 
     def misfit(self) -> float:
-        """Mean square of what is left, in variances of noise: 1 where the scene explains all."""
+        """Mean square of what is left, in variances of noise: 1 if the scene explains it all."""
         return float((self.now.linearised.rest**2).mean())
 
     def density(self) -> Score | None:
-        """The score of a density that varies smoothly; None where one is fitted already."""
+        """The score of a smoothly varying density; None if one is fitted, or without membranes."""
         if self.model.density_fitted or not self.scene.light.membrane:
             return None
         fields = density_fields(self.scene.mesh, "smooth", self.part.cells)
@@ -176,12 +176,12 @@ class Search:
         return score(self.now.linearised, columns, self.blocks)
 
     def _without(self, effect: Effect) -> Score:
-        """As if the scene had been fitted without the effect, linearly."""
+        """The score of an effect as if the scene had been fitted without it, in linear order."""
         at, columns = self.now.linearised, self.now.columns(effect)
         neutral = type(effect).neutral()
         if effect.bounds:
             change = effect.parameters().numpy() - neutral.parameters().numpy()
-            # How far it reaches says nothing about how much there is of it.
+            # The width of an effect says nothing about its amount.
             change[[value.name in effect.tried_widths for value in effect.values()]] = 0.0
         else:
             change = np.ones(1)
@@ -190,19 +190,19 @@ class Search:
         return score(without, columns, self.blocks)
 
     def left_in(self, where: np.ndarray) -> tuple[float, float]:
-        """What voxels that tell nothing do to a fit that they are left in.
+        """What uninformative voxels do to a fit if they are left in.
 
         Parameters
         ----------
         where
-            (Z, Y, X) bool: voxels of the whole image that are no evidence here.
+            (Z, Y, X) bool: voxels of the whole image that are not evidence here.
 
         Returns
         -------
         score
             Standard deviations by which they differ from what is expected there.
         bias
-            um: by how much they move the surface.
+            How far they move the surface, um.
         """
         index = np.flatnonzero(where[self.part.box])
         if not len(index):

@@ -1,7 +1,7 @@
 """What an image tells about its slices: whether they fade, and whether they drift.
 
-Neither can be told from shape by the image alone: a cell that narrows dims its slices, one that
-leans shifts them. So both are hints. Drift is never fitted; a stack is registered beforehand.
+An image alone cannot tell either from shape: a cell that narrows dims its slices, one that leans
+shifts them. So both are hints. Drift is never fitted; stacks must be registered beforehand.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from .evidence_rules import SLICES
 
 
 def fading(image: np.ndarray, spacing: float) -> Finding:
-    """Share of the light lost per um along z, from the brightest part of each slice.
+    """Share of the light lost per um along Z, from the brightest part of each slice.
 
     Parameters
     ----------
     image
         (Z, Y, X); NaN where missing.
     spacing
-        um between slices.
+        Distance between slices, um.
     """
     pixels = np.asarray(image, dtype=np.float32)
     brightness, dark, noise = _slice_brightness(pixels)
@@ -62,15 +62,15 @@ def _slice_brightness(pixels: np.ndarray) -> tuple[np.ndarray, float, float]:
 
 
 def drift(image: np.ndarray, voxel_size: tuple[float, float, float]) -> tuple[Finding, Finding]:
-    """How slices lie against their neighbours.
+    """How slices are shifted against their neighbours.
 
     Returns
     -------
     lean
-        um in the plane per um along z: a steady shift, of a stage or of a leaning shape.
+        Steady shift, um in the plane per um along Z, of a stage or of a leaning shape.
     jitter
-        um, root mean square of how far single slices stand out from their neighbours on either
-        side, which no smooth shape explains.
+        Root mean square shift of single slices against both neighbours, um, which no smooth shape
+        explains.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def drift(image: np.ndarray, voxel_size: tuple[float, float, float]) -> tuple[Fi
     next_one = _shifts(spectra[:-1], spectra[1:], slices.shape[1:])
     over_next = _shifts(spectra[:-2], spectra[2:], slices.shape[1:])
     size = np.asarray(voxel_size[1:])
-    # Two steps and the shift over both should close; how far they do not is the error.
+    # Two steps should add up to the shift over both; the difference gives the error.
     open_by = (next_one[:-1] + next_one[1:] - over_next) * size
     error = float(np.sqrt(np.mean(open_by**2) / 3 + (SLICES.least_error * size.mean()) ** 2))
     steps = next_one * size
@@ -118,10 +118,10 @@ def _taper(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _shifts(one: np.ndarray, other: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """(N, 2) voxels: by how much each slice lies further on than its partner.
+    """(N, 2) shift of each slice against its partner along Y and X, voxels.
 
-    The peak of the cross-correlation, whitened halfway so that neither noise nor slow changes of
-    brightness lead, to a share of a voxel by a parabola.
+    The peak of the cross-correlation, with sub-voxel accuracy from a parabola; half whitened so
+    that neither noise nor slow changes of brightness dominate.
     """
     product = np.conj(one) * other
     correlation = np.fft.irfft2(product / np.sqrt(np.abs(product) + 1e-12), s=shape)

@@ -1,7 +1,7 @@
-"""How far the slices of a stack lie from where a model of all of them has each.
+"""How far single slices of a stack deviate from a model of the whole stack.
 
-A stage that wobbles shifts slices against each other, a lamp that flickers makes them unevenly
-bright. A smooth surface cannot follow all of that.
+A wobbling stage shifts slices against each other, a flickering lamp makes them unevenly bright. A
+smooth surface cannot follow all of that.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ _OF_A_MEDIAN = (2 / 0.37) ** 0.5
 
 @dataclass(frozen=True)
 class SlicesApartRules:
-    """Which slices are asked.
+    """Which slices count.
 
     Attributes
     ----------
     least
-        Of the squared gradient of the model in a slice, over that of the mean slice: in others
-        there is nothing to see a shift of. Chosen.
+        Least squared gradient of the model in a slice, over that of the mean slice: with less,
+        nothing shows a shift. Chosen.
     fewest
-        Slices, of which a median tells something. Chosen.
+        Fewest slices whose median is meaningful. Chosen.
     sure
         Standard errors by which slices must differ by more than noise. Chosen, as elsewhere.
     """
@@ -45,14 +45,14 @@ RULES = SlicesApartRules()
 
 @dataclass(frozen=True)
 class SlicesApart:
-    """Standard deviations between neighbouring slices.
+    """Standard deviations of single slices.
 
     Attributes
     ----------
     shift
-        Voxels, along Y and X.
+        Shift along Y and X, voxels.
     brightness
-        Relative to their own.
+        Relative deviation of brightness.
     """
 
     shift: float = 0.0
@@ -60,14 +60,15 @@ class SlicesApart:
 
 
 def slices_apart(seen: FloatArray, shown: FloatArray) -> SlicesApart:
-    """How far slices are apart; 0 where too few show anything.
+    """How far slices deviate from the model; 0 if too few show anything.
 
-    By least squares in each slice, of its derivatives along Y and X, its light, and a constant;
-    what neighbouring slices have in common is drift, and does not count, nor does what noise makes.
+    In each slice, the residual is fitted by its derivatives along Y and X, its light, and a
+    constant. What neighbouring slices have in common is drift and does not count, nor does what
+    noise explains.
 
-    seen, shown : (Z, Y, X) images: as measured, NaN where nothing is known, and as modelled. What
-        lies in voxels that a fit leaves out counts as noise: those it does not would be too few
-        beside a cell in a haze, whose slices then seemed to differ by 17 %.
+    seen, shown : (Z, Y, X) measured image, NaN where missing, and modelled image. Voxels that the
+        fit leaves out are included: without them, slices of a cell in a haze had too few voxels and
+        seemed to differ by 17 %.
     """
     each = [_of_slice(*planes) for planes in zip(seen, shown, strict=True)]
     strength = np.array([one.strength for one in each])
@@ -84,7 +85,7 @@ def slices_apart(seen: FloatArray, shown: FloatArray) -> SlicesApart:
 
 @dataclass(frozen=True, eq=False)
 class _Slice:
-    """Of one slice: how clearly shifts of it are seen, shifts and brightness, their variances."""
+    """How clearly one slice shows shifts; its shifts and brightness (3,), and their variances."""
 
     strength: float
     found: FloatArray
@@ -92,7 +93,7 @@ class _Slice:
 
 
 def _of_slice(seen: FloatArray, shown: FloatArray) -> _Slice:
-    """By least squares; (Y, X) each."""
+    """Shifts and brightness of a slice by least squares; seen, shown : (Y, X)."""
     light, known = np.asarray(shown, float), np.isfinite(seen)
     slopes = np.gradient(light) if min(light.shape) > 1 else [np.zeros_like(light)] * 2
     columns = np.stack([part[known] for part in (*slopes, light, np.ones_like(light))])
@@ -104,14 +105,14 @@ def _of_slice(seen: FloatArray, shown: FloatArray) -> _Slice:
 
 
 def _from_neighbours(each: FloatArray, times: float) -> FloatArray:
-    """Of all slices but the first and the last: it, and so many times the sum of both others."""
+    """Each slice but the first and last, plus ``times`` the sum of both its neighbours."""
     return np.asarray(each[1:-1] + times * (each[:-2] + each[2:]))
 
 
 def _beyond_noise(alone: FloatArray, by_noise: FloatArray) -> float:
-    """Standard deviation of a slice, from differences and the variances that noise gives these.
+    """Standard deviation of a slice beyond noise, from differences and their variances by noise.
 
-    0 where noise alone may give as much.
+    0 if noise alone may explain them.
     """
     variance, noise = (np.median(np.abs(alone)) * _OVER_MEDIAN) ** 2, np.median(by_noise)
     if variance < (1 + RULES.sure * _OF_A_MEDIAN / np.sqrt(alone.size)) * noise:

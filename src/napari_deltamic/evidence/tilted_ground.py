@@ -1,8 +1,8 @@
-"""Whether the background of an image rises from side to side, before anything is fitted to it.
+"""Whether the background of an image rises from side to side, found before any fit.
 
-A fit finds such a background with the effect of that name, but only once its shape is near: a start
-whose surroundings are brighter on one side follows them away. So it is read from the darkest voxels
-of blocks all over the image, which a plane, or a curved one, has to explain nearly all of.
+A fit with the effect ``background`` finds it, too, but only once its shapes are close: surfaces
+that are brighter on one side would drift there. So it is read from the darkest voxels of blocks all
+over the image, of whose variation a plane or a curved surface must explain nearly all.
 """
 
 from __future__ import annotations
@@ -29,30 +29,32 @@ class GroundRules:
     Attributes
     ----------
     blocks
-        Along each axis, of three voxels at least. Chosen, not measured.
+        Blocks along each axis, of at least three voxels. Chosen, not measured.
     smoothed
-        Voxels: noise of single voxels would be all that the darkest ones tell. Chosen.
+        Width of the blur before, voxels: otherwise the darkest voxels would show only noise.
+        Chosen.
     dark
-        Quantile of a block: cells fill most of some.
+        Quantile of a block that is taken as its background, since cells fill most of some blocks.
     brighter
         Standard deviations by which blocks may lie above the others: cells fill those beyond.
         Chosen, not measured.
     fewest
-        Share of the blocks that must be left, and of a block that must be known. Chosen.
+        Share of the blocks that must remain, and of a block that must be known. Chosen.
     explained
         Share of their variance that a polynomial of each degree must explain. Measured: 1.00 where
         a background rises evenly, 0.97 where it fades with depth, at most 0.6 in real stacks and
-        0.25 in simulated haze. A dome of light around cells comes nearer to the second degree.
+        0.25 in simulated haze. A dome of light around cells comes closer to the second degree.
     worth
-        Of the contrast of the image: less does not mislead a fit. Chosen, not measured.
+        Share of the image's contrast by which it must vary: less does not mislead a fit. Chosen,
+        not measured.
     dome, high
-        So much explained by the second degree is enough where it also varies by so much of the
-        contrast: light from above and below, of a microscope that does not keep it out. Measured
-        in 19 simulated widefield stacks, explained and height: 0.89 to 0.94 and 0.73 to 1.24 in a
-        haze, where fits without it were 0.4 to 9.9 voxels off, and with it 0.2 to 0.5; 0.86 to
-        0.91 and at most 0.55 without one, or with a faint one, where the light is the cells' own,
-        and most membranes are further off with it. In real stacks never both: at most 0.87 and
-        0.01, 0.82 and 0.44, 0.64 and 0.51.
+        Share explained by the second degree that is enough if it also varies by ``high`` of the
+        contrast: out-of-focus light, in a microscope that does not reject it. Measured in 19
+        simulated widefield stacks, explained and height: 0.89 to 0.94 and 0.73 to 1.24 in a haze,
+        where fits without it were 0.4 to 9.9 voxels off, and with it 0.2 to 0.5; 0.86 to 0.91 and
+        at most 0.55 without a haze or with a faint one, where the light is the cells' own, and most
+        membranes are further off with it. In real stacks never both: at most 0.87 and 0.01, 0.82
+        and 0.44, 0.64 and 0.51.
     """
 
     blocks: int = 8
@@ -67,14 +69,14 @@ class GroundRules:
 
 
 RULES = GroundRules()
-_ROUNDS = 20  # of leaving blocks out; chosen, a handful is enough
-_MANY = 4  # blocks for each number: chosen, so that noise is not explained by as many
+_ROUNDS = 20  # rounds of leaving blocks out; chosen, a handful is enough
+_MANY = 4  # blocks for each coefficient: chosen, so that noise is not explained as well
 
 
 def with_ground(scene: SceneSettings, image: NDArray[Any]) -> tuple[SceneSettings, str]:
-    """A scene with the background that an image shows, and a sentence on it; "" where it is even.
+    """The scene with the background that an image shows, and a sentence on it; "" if it is even.
 
-    A scene that says which effects there are stays as it is, but for a background without numbers.
+    A scene that names effects stays as it is, unless it has a background without numbers.
     image : (Z, Y, X); NaN where missing.
     """
     present = scene.effects.present()
@@ -91,7 +93,7 @@ def with_ground(scene: SceneSettings, image: NDArray[Any]) -> tuple[SceneSetting
 
 
 def tilted_ground(image: NDArray[Any]) -> Background | None:
-    """The background of an image, where it is uneven; None where it is even, or cannot be told."""
+    """The background of an image if it is uneven; None if it is even, or cannot be told."""
     if image.ndim != 3 or min(image.shape) < 3:
         return None
     places, dark, contrast = _blocks(np.asarray(image, np.float64))
@@ -108,7 +110,7 @@ def tilted_ground(image: NDArray[Any]) -> Background | None:
 
 
 def _blocks(image: Floats) -> tuple[Floats, Floats, float]:
-    """(N, 3) places of blocks, -1 to 1 over the image, (N,) their dark values, the contrast."""
+    """Places of blocks (N, 3), -1 to 1 over the image, their dark values (N,), and the contrast."""
     known = np.isfinite(image)
     if not known.any():
         return np.zeros((0, 3)), np.zeros(0), 0.0
@@ -128,10 +130,10 @@ def _blocks(image: Floats) -> tuple[Floats, Floats, float]:
 
 
 def _lowest(columns: Floats, dark: Floats) -> tuple[Floats, float, float]:
-    """The polynomial through the blocks without those that cells brighten.
+    """The polynomial through the blocks, leaving out those that cells brighten.
 
-    columns : (N, K) of the blocks. Its numbers, the share of blocks left, and of their variance
-    that it explains.
+    Its coefficients, the share of blocks left, and the share of their variance that it explains.
+    columns : (N, K) its terms at the blocks.
     """
     columns = np.column_stack([columns, np.ones(len(dark))])
     kept = np.ones(len(dark), bool)
@@ -161,7 +163,7 @@ def _columns(ground: Background, places: Floats) -> Floats:
 
 
 def _range(ground: Background) -> float:
-    """From its darkest place to its brightest."""
+    """Difference between its brightest and its darkest place."""
     steps = np.linspace(-1, 1, 5)  # for two degrees as good as all voxels
     places = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(-1, 3)
     return float(np.ptp(_columns(ground, places) @ np.array(ground.coefficients)))

@@ -1,4 +1,4 @@
-"""How uneven the inside of each cell is: what a model of even insides cannot show."""
+"""How uneven the inside of each cell is, which a model of even insides cannot show."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ACCURACY = 1e-2  # of images that are only compared where they are brightest
 
 
 def inside_shares(state: FitState) -> dict[int, float]:
-    """Of each cell, the brightness of its inside over that and the peak of its membrane's image."""
+    """Inside / (inside + membrane peak) of each cell: the share of its inside in the brightness."""
     over = inside_over_membrane(state.light, state.optics.sigma_um)
     regions = state.mesh.region_ids()
     each = over * np.abs(state.light.of_cells(regions))

@@ -1,4 +1,4 @@
-"""Bright things of an image that no cell explains: cells without a start, or none at all."""
+"""Bright things in an image that no cell explains: cells without seeds, or no cells at all."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from .residual import Spot
 
 @dataclass(frozen=True)
 class StrayRules:
-    """What makes a bright thing one that has no cell.
+    """When a bright thing counts as one without a cell.
 
     Attributes
     ----------
     away
-        Widths of the PSF from every surface: what lies nearer is a surface that is off. Those of
-        a surface are blurred over three widths (``residual``).
+        Least distance from every surface, widths of the PSF: what lies nearer is a surface that is
+        off. Light of a surface is blurred over three widths (``residual``).
     together
-        Of the diameter of the typical cell: places nearer to each other are of one thing, as a
-        membrane without a cell is bright in many places.
+        Share of the diameter of a typical cell: places nearer to each other belong together, since
+        a membrane without a cell is bright in many places.
     most
-        Things told, the brightest first.
+        Most things that the user is told, the brightest first.
     """
 
     away: float = 3.0
@@ -49,11 +49,11 @@ class Stray:
     Attributes
     ----------
     position
-        um, Z Y X: where it is brightest.
+        Where it is brightest, um, Z Y X.
     z
-        Standard deviations of the noise there.
+        Deviation there in standard deviations of the noise.
     middle
-        um, Z Y X: of what belongs to it; the inside of a cell, where that is its membrane.
+        Middle of what belongs to it, um, Z Y X; if that is the membrane of a cell, its inside.
     """
 
     position: tuple[float, float, float]
@@ -62,14 +62,14 @@ class Stray:
 
 
 def strays(spots: Sequence[Spot], mesh: Mesh, optics: Optics) -> tuple[Stray, ...]:
-    """The bright things among the places of a residual that no surface lies near, or around.
+    """The bright things among the spots of a residual that have no surface near or around them.
 
-    What is bright within a cell, such as the chromatin of a nucleus, is the cell's.
+    What is bright within a cell, such as the chromatin of a nucleus, belongs to the cell.
 
     Parameters
     ----------
     spots
-        Of the whole image, see :func:`.residual.analyse_residual`.
+        Spots of the whole image, see :func:`.residual.analyse_residual`.
     mesh
         The surfaces of the fit.
     optics

@@ -1,7 +1,7 @@
 """Walls between cells that the image hardly shows: where labels cut one cell in two.
 
-Nothing shines there, and both sides are as bright. The prior on shape holds such a wall where it
-began, so that no other fact about the fit gives it away.
+Nothing shines there, and both sides are equally bright. The prior on shape holds such a wall where
+it began, so that no other fact about the fit reveals it.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ class UnseenWallRules:
     Attributes
     ----------
     dim
-        Peak of its membrane in the image over that of the other surfaces of its cells. Measured
+        Largest peak of its membrane over that of the other surfaces of its cells. Measured
         where labels were cut in two: 0.09 to 0.42 (nine cells); where walls are real: 0.64 or more
         in simulated tissues; of 235 in a gland one had 0.33, the next 0.44.
     step
-        Difference of the insides over what the other surfaces show. Measured where labels were cut
-        in two: up to 0.08, 0.64 with chromatin, which the image cannot tell from two nuclei.
+        Largest difference of the insides over what the other surfaces show. Measured where labels
+        were cut in two: up to 0.08, 0.64 with chromatin, which the image cannot tell from two
+        nuclei.
     area
-        Widths of the PSF squared, least: a smaller wall is hardly seen in any case. Three squared,
-        from which on amounts on walls are measured (``benchmarks.channel``).
+        Least area, widths of the PSF squared: a smaller wall is hardly seen in any case. Three
+        squared, from which on amounts on walls are measured (``benchmarks.channel``).
     """
 
     dim: float = 0.43
@@ -42,9 +43,9 @@ RULES = UnseenWallRules()
 
 
 def unseen_walls(state: FitState) -> dict[int, int]:
-    """For each cell the neighbour behind its largest wall that the image hardly shows.
+    """The neighbour of each cell behind the largest of its walls that the image hardly shows.
 
-    Cells without such a wall are left out, and walls of which all surfaces of both cells consist.
+    Cells without such a wall are left out, as are pairs of cells that have no other surface.
     """
     mesh, areas = state.mesh, state.mesh.areas()
     width = geometric_mean(state.optics.sigma_um)
@@ -52,7 +53,7 @@ def unseen_walls(state: FitState) -> dict[int, int]:
         state.light.interior * state.light.of_cells(side) * (side != OUTSIDE)
         for side in mesh.regions.T
     )
-    # Across the surface a membrane shows as the PSF, an inside as a step.
+    # Across a surface, a membrane looks like the PSF, an inside like a step.
     peak = state.light.membrane * np.asarray(state.density) / (np.sqrt(2 * np.pi) * width)
     step = np.abs(inner - outer)
     pairs, wall = mesh.interfaces()
@@ -76,7 +77,7 @@ def unseen_walls(state: FitState) -> dict[int, int]:
 
 
 class _Means:
-    """Of each wall: its area, and the means of what its faces show."""
+    """Area of each wall, and means of peak and step over its faces."""
 
     def __init__(
         self, wall: np.ndarray, areas: np.ndarray, peak: np.ndarray, step: np.ndarray, n: int

@@ -1,8 +1,8 @@
-"""Good, fair or poor: what is to be thought of the shapes that a fit found.
+"""Good, fair or poor: how far the shapes that a fit found can be trusted.
 
-That a fit has converged says that its iterations ended, nothing of the shape. `judged` is a pure
-function of a few facts, the predicted error of the shape first among them. Each check looks at one
-of them (:mod:`.fit_checks`, :mod:`.cell_checks`).
+Convergence only means that the iterations came to an end; it says nothing about the shape. `judged`
+is a pure function of a few facts, above all the predicted error of the shape. Each check looks at
+one of them (:mod:`.fit_checks`, :mod:`.cell_checks`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MANY = "too many doubts at once to trust its shape"
 
 @dataclass(frozen=True)
 class CellVerdict:
-    """A grade of one cell, why it is no better, and the predicted error of its shape, um."""
+    """The grade of one cell, why it is not better, and the predicted error of its shape, um."""
 
     region: int
     grade: Grade
@@ -37,9 +37,9 @@ class CellVerdict:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A grade of a fit and of each cell, why they are no better, and the predicted error.
+    """The grades of a fit and of each cell, why they are not better, and the predicted error.
 
-    Reasons of the kind "cells" name cells; these have reasons of their own.
+    Reasons of the kind "cells" name cells, which have their own reasons.
     """
 
     grade: Grade
@@ -48,7 +48,7 @@ class Verdict:
     error: PredictedError = field(default_factory=PredictedError)
 
     def as_plain(self) -> dict[str, Any]:
-        """For JSON."""
+        """The verdict as plain values, for JSON."""
         whole = self.error.whole
         return {
             "grade": self.grade,
@@ -63,7 +63,7 @@ class Verdict:
         }
 
     def by_region(self) -> dict[int, Judgement]:
-        """For tables: grade, predicted error and reasons of each cell."""
+        """Grade, predicted error and reasons of each cell by its region, for tables."""
         return {
             cell.region: Judgement(cell.grade, cell.shape_error_um, "; ".join(texts(cell.reasons)))
             for cell in self.cells
@@ -71,9 +71,9 @@ class Verdict:
 
     @property
     def usual_error_um(self) -> float | None:
-        """That of the cell in the middle, as the grade is; of all surfaces where no cell has one.
+        """Median predicted error of the cells, um; that of all surfaces if no cell has one.
 
-        One cell that went wrong would have most of what is predicted of all surfaces.
+        A single cell that went wrong would dominate the error of all surfaces.
         """
         of_cells = [c.shape_error_um for c in self.cells if c.shape_error_um is not None]
         if of_cells:
@@ -81,7 +81,7 @@ class Verdict:
         return None if self.error.whole is None else self.error.whole.total
 
     def sentence(self) -> str:
-        """For a user: the grade, the predicted error, and why."""
+        """The grade, the predicted error, and the reasons, in words for a user."""
         off = self.usual_error_um
         about = "" if off is None else f", off by about {1000 * off:.0f} nm"
         return f"{self.grade}{about}" + (
@@ -90,9 +90,11 @@ class Verdict:
 
 
 def judged(facts: Facts) -> Verdict:
-    """The grade: that of most cells, lowered by what concerns all; one bad cell spoils no other.
+    """The verdict that follows from facts.
 
-    Where half of them are worse, the worse one. Doubts of what shines are doubts of each cell, too.
+    The worse grade counts once at least half of the cells have it, so that one bad cell does not
+    spoil the rest; reasons that concern the whole fit lower it, too. Doubts about what is labelled
+    are doubts about each cell as well.
     """
     doubts = [found for check in STRUCTURE_CHECKS if (found := check(facts))]
     reasons = [*(found for check in FIT_CHECKS if (found := check(facts))), *doubts]
@@ -114,7 +116,7 @@ def judged(facts: Facts) -> Verdict:
 
 
 def _of_cell(cell: CellFacts, facts: Facts, others: int) -> CellVerdict:
-    """others : reasons that concern all cells."""
+    """The verdict on one cell; others : number of reasons that concern the whole fit."""
     found = [reason for check in CELL_CHECKS if (reason := check(cell, facts))]
     if len(found) + others >= RULES.doubts:
         found.append(Reason("doubts", "poor", _MANY))
@@ -130,7 +132,7 @@ def _doubted(cell: CellVerdict, doubts: Sequence[Reason]) -> CellVerdict:
 
 
 def _usual_reason(cells: Sequence[CellVerdict]) -> str:
-    """The reason that most of some cells have, numbers aside, as the first of them has it."""
+    """The most frequent main reason, apart from numbers, in the words of its first cell."""
     alike: dict[str, list[CellVerdict]] = {}
     for cell in cells:
         alike.setdefault(re.sub(r"[\d.]+", "", cell.reasons[0].text), []).append(cell)

@@ -1,4 +1,4 @@
-"""The variance of a voxel, as well as the image tells it."""
+"""The variance of a voxel, as far as the image tells it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Variance = Callable[[np.ndarray], np.ndarray]
 def voxel_variance(
     image: np.ndarray, pixels: np.ndarray, known: np.ndarray, camera: Camera | None = None
 ) -> Variance:
-    """Function from expected values to variances.
+    """A function from expected values to variances of voxels.
 
-    The line of the camera where the image shows one, else the same for all voxels.
+    It is the camera's noise line if the image shows one, else the same variance for all voxels.
 
     Parameters
     ----------
     image
         (Z, Y, X) as the file holds it.
     pixels, known
-        The same without missing voxels, and where they are not missing.
+        The same with missing voxels filled, and a mask of those not missing.
     camera
-        Of the image, where it is known already.
+        What the image tells about its camera, if already known.
     """
     camera = camera or camera_from_image(image, known)
     if camera.line is not None:

@@ -11,7 +11,7 @@ OLDEST = (0, 7, 1)
 
 
 def check_napari(found: str) -> None:
-    """InputError, with what to do, if a version of napari is too old for the widget."""
+    """Raise InputError, with what to do, if this version of napari is too old for the widget."""
     # The version of napari from a source tree may be anything.
     numbers = tuple(int(word) for word in re.findall(r"^\d+|(?<=\.)\d+", found.split("+")[0])[:3])
     if len(numbers) > 1 and numbers < OLDEST[: len(numbers)]:

@@ -1,4 +1,4 @@
-"""Keeps Python's garbage collector from long looks while the window has to answer."""
+"""Keeps Python's garbage collector from long passes while the window has to respond."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import ClassVar
 
 
 class Calm:
-    """From ``begin`` to ``end``, what was there before is left out of collections of garbage.
+    """Lets garbage collection skip, from ``begin`` to ``end``, all objects that existed before.
 
-    To look through all that napari and its plugins hold takes 0.2 to 0.3 s, during which nothing
-    else can happen. What is no longer referred to is freed at once all the same; only rings of
-    objects wait for the end. Several may be at it at a time, on the main thread. A program that has
-    frozen objects by itself keeps them so; nothing is done then.
+    A pass over all that napari and its plugins hold takes 0.2 to 0.3 s, during which nothing else
+    can happen. Objects without references are still freed at once; only reference cycles wait for
+    the end. Several may be active at a time, on the main thread. If a program has frozen objects
+    itself, nothing is done.
     """
 
     _at_it: ClassVar[set[int]] = set()

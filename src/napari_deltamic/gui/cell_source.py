@@ -43,7 +43,7 @@ def is_seeds(layer: Any) -> bool:
 
 
 def seed_kind(layer: Any) -> type:
-    """Which of the kinds of layers that give seeds it is; subclasses count as theirs."""
+    """The class in ``SEED_LAYERS`` to which a layer belongs; subclasses count as their base."""
     return next(kind for kind in SEED_LAYERS if isinstance(layer, kind))
 
 
@@ -77,14 +77,14 @@ def seeds_from_layer(
 
 
 def is_empty(layer: Any, point: tuple[float, ...] = ()) -> bool:
-    """Whether a layer holds no seeds (at the time shown): one that was only just made, say."""
+    """Whether a layer holds no seeds at the time shown, as when it was only just made."""
     if isinstance(layer, Points):
         return not at_time(layer, layer.data, point).any()
     return isinstance(layer, Labels) and not np.any(layer.data)
 
 
 def at_time(layer: Any, data: NDArray[Any], point: tuple[float, ...]) -> NDArray[np.bool_]:
-    """(n,) which rows of coordinates lie at the viewer's point along the axes before Z, Y, X."""
+    """(n,) bool: which rows of coordinates lie at the viewer's point on the axes before Z, Y, X."""
     kept = np.ones(len(data), bool)
     for axis in range(-4, -layer.ndim - 1, -1):
         if data.shape[1] >= -axis and len(point) >= -axis:
@@ -94,14 +94,14 @@ def at_time(layer: Any, data: NDArray[Any], point: tuple[float, ...]) -> NDArray
 
 
 def without_place(layer: Any, point: tuple[float, ...] = ()) -> str:
-    """Numbers of points (at the time shown) whose coordinates are not all numbers; '' for none."""
+    """Numbers of the points at the time shown that have a NaN coordinate; '' for none."""
     data = np.asarray(layer.data, float)
     rows = np.flatnonzero(at_time(layer, data, point) & ~np.isfinite(data[:, -3:]).all(axis=1))
     return ", ".join(str(row + 1) for row in rows[:6].tolist())
 
 
 def mesh_of_surface(layer: Any, frame: Frame, point: tuple[float, ...] = ()) -> Mesh:
-    """A Surface layer as a mesh, um in a frame; with the regions that a fit has noted in it."""
+    """A Surface layer as a mesh, um in a frame, with the regions that a fit stored in it."""
     if np.shape(layer.data[0])[1] < 3 or not len(layer.data[1]):
         raise InputError(f"layer '{layer.name}' holds no surface")
     vertices, faces, regions, _ = shown_surface(layer, point)
@@ -117,9 +117,9 @@ def mesh_of_surface(layer: Any, frame: Frame, point: tuple[float, ...] = ()) -> 
 
 
 def shown_surface(layer: Any, point: tuple[float, ...]) -> tuple[Any, Any, Any, Any]:
-    """Of a Surface layer, at the time shown: vertices (V, 3), faces, and the regions noted, if any.
+    """Vertices (V, 3), faces, stored regions and vertex indices of a Surface layer at a point.
 
-    Last, which of the layer's vertices these are.
+    Regions are None where the layer stores none; the indices tell which of its vertices these are.
     """
     vertices, faces = joined(np.asarray(layer.data[0]), np.asarray(layer.data[1]), layer.metadata)
     used, regions = np.arange(len(vertices)), layer.metadata.get(OWN, {}).get("regions")
@@ -155,7 +155,7 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
 
 
 def in_region(layer: Any, data: NDArray[Any], frame: Frame) -> NDArray[np.bool_]:
-    """(n,) which rows of coordinates of a layer lie in the region of a frame, if it has one."""
+    """(n,) bool: which rows of a layer's coordinates lie in the region of a frame, if any."""
     if frame.shape is None:
         return np.ones(len(data), bool)
     scale, shift = frame.data_to_um(layer)
@@ -195,7 +195,7 @@ def _labels(
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a preview is of: points, um in the frame of an image layer, and when.
+    """What a preview is made from: points, um in the frame of an image layer, and the time.
 
     read : gives the voxels, in any thread.
     """
@@ -207,7 +207,7 @@ class Wanted:
     time: tuple[int, ...] = ()
 
     def key(self) -> tuple[Any, ...]:
-        """Equal where the preview is the same."""
+        """A key that is equal as long as the preview is the same."""
         return self.points.tobytes(), id(self.layer), self.frame, self.time
 
 
@@ -228,23 +228,23 @@ class CellSource(LayerTicks):
         super().__init__(viewer, is_seeds)
 
     def take_preview(self, mesh: Mesh | None) -> None:
-        """Other surfaces are shown of the cells."""
+        """Note the surfaces that are now shown of the cells."""
         self.preview_mesh = mesh
 
     def be_told(self, text: str = "") -> None:
-        """Keep what was said of the cells when they were made; without a text they are others."""
+        """Keep a message about the cells as made; '' forgets all messages, as the cells are new."""
         self.told = tuple(dict.fromkeys((*self.told, text))) if text else ()
 
     def be_spheres(self, on: bool) -> None:
-        """Whether points are to be spheres."""
+        """Set whether points are spheres."""
         self.spheres = on
 
     def wait_for(self, awaited: bool, renewed: Any) -> None:
-        """Whether cells are being looked for; they will replace those in a layer, or are new."""
+        """Note whether cells are being looked for, and which layer they will replace, if any."""
         self._awaited, self._renewed = awaited, renewed
 
     def seeds(self, frame: Frame, *, copied: bool = True) -> Seeds:
-        """The seeds. InputError where there are none, or they cannot be used."""
+        """All seeds as one object. InputError if there are none, or they cannot be used."""
         if self._awaited and (not self.ticked or self._renewed in self.ticked):
             raise InputError("'Find cells' is still looking: wait until it has found them")
         if not self.ticked:
@@ -258,7 +258,7 @@ class CellSource(LayerTicks):
         return mixed([self._of(layer, frame, copied=copied) for layer in chosen])
 
     def close_links(self) -> None:
-        """Listen to the viewer no more, and let its layers go."""
+        """Stop listening to the viewer, and release its layers."""
         super().close_links()
         self._renewed = None
 
@@ -266,11 +266,11 @@ class CellSource(LayerTicks):
         return [layer for layer in self.ticked if isinstance(layer, Points)]
 
     def shape(self) -> tuple[int, ...] | None:
-        """Of the 3D image; None where there is none that can be used: its panel says why."""
+        """Shape of the 3D image; None if there is none that can be used, as its panel explains."""
         return None if self._frame() is None else self._image.shape()
 
     def wanted(self) -> Wanted | None:
-        """What a preview of the points is made of; None where there is nothing to show."""
+        """What a preview of the points is made from; None if there is nothing to show."""
         frame = None if self.spheres else self._frame()
         points = np.zeros((0, 3)) if frame is None else self.points(frame)
         if frame is None or not len(points):
@@ -279,11 +279,11 @@ class CellSource(LayerTicks):
         return Wanted(points, self._image.reader(), self._image.layer, frame, time)
 
     def points(self, frame: Frame) -> FloatArray:
-        """(n, 3) um: all points that are ticked."""
+        """All points in ticked layers, (n, 3) um."""
         return np.concatenate([np.zeros((0, 3)), *(x.points for x in self._point_sets(frame))])
 
     def remarks(self, problems: tuple[Problem, ...]) -> list[Remark]:
-        """What may be wrong with the seeds; ``problems`` are those of a preview."""
+        """Remarks on what may be wrong with the seeds; ``problems`` come from a preview."""
         frame, shape = self._frame(), self.shape()
         if frame is None or shape is None:
             return []
@@ -299,7 +299,7 @@ class CellSource(LayerTicks):
         return self._placeless() + self._beside(frame) + known + made
 
     def _beside(self, frame: Frame) -> list[Remark]:
-        """Cells that are left out, or cut, as only a region is fitted."""
+        """Remarks on cells that are left out or cut because only a region is fitted."""
         found: list[Remark] = []
         for layer in self.ticked if frame.box is not None else ():
             with suppress(InputError):  # said when the fit starts
@@ -320,14 +320,14 @@ class CellSource(LayerTicks):
         return beside_region("point", layer.name, len(points), beyond)
 
     def _placeless(self) -> list[Remark]:
-        """Points that lie nowhere; their layers cannot be used before these are gone."""
+        """Remarks on points with NaN coordinates, without which their layers could be used."""
         layers, point = self.points_layers(), self._point()
         found = [(layer.name, without_place(layer, point)) for layer in layers]
         text = "Point {} of '{}' has no position: delete it"
         return [Remark(text.format(lost, name)) for name, lost in found if lost]
 
     def _point_sets(self, frame: Frame) -> list[PointSet]:
-        """The points of each layer; layers that cannot be used are told when a fit starts."""
+        """The points of each layer; errors in layers are reported when a fit starts."""
         point = self._point()
         layers = [layer for layer in self.points_layers() if not is_empty(layer, point)]
         sets = []

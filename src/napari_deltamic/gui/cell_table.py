@@ -40,7 +40,7 @@ _WHY = {"explained": "Nothing near this cell varies by more than noise."}
 
 
 class CellTable(QTableWidget):
-    """One row a cell.
+    """A table with one row per cell.
 
     ``chosen`` gives the regions of the rows that are selected, the newest last, and whether the
     user selected them here (rather than through :meth:`choose`).
@@ -76,27 +76,27 @@ class CellTable(QTableWidget):
 
     @property
     def rows(self) -> tuple[Mapping[str, Any], ...]:
-        """What is known of the cells, by the names of the columns."""
+        """What is known about the cells: a mapping from column names for each."""
         return tuple(self._rows.values())
 
     def known_columns(self) -> list[CellColumn]:
-        """Those in which a cell has something."""
+        """The columns in which at least one cell has a value."""
         return [
             c for c in self.columns if any(value_of(row, c.key) is not None for row in self.rows)
         ]
 
     def numbers(self, key: str) -> dict[int, float]:
-        """A column of numbers, by region; without the cells that have none."""
+        """The numbers in a column, by region; cells without one are left out."""
         values: dict[int, Any] = {region: row.get(key) for region, row in self._rows.items()}
         return {region: float(v) for region, v in values.items() if is_number(v)}
 
     def show_column(self, key: str, shown: bool = True) -> None:
-        """Show a column, or hide it; the number of the cell stays."""
+        """Show or hide a column; that of cell numbers always stays."""
         self._wanted = self._wanted | {key} if shown else self._wanted - {key}
         self._hide_columns()
 
     def fill_menu(self, menu: QMenu) -> None:
-        """A box for each column."""
+        """Fill a menu with a check box for each column."""
         menu.clear()
         menu.setToolTipsVisible(True)
         for column in self.known_columns()[1:]:
@@ -153,7 +153,7 @@ class CellTable(QTableWidget):
             item.setData(Qt.ItemDataRole.DecorationRole, QColor(*shown[self._region(row)]))
 
     def chosen_regions(self) -> tuple[int, ...]:
-        """The regions of the rows selected, in the order in which they were."""
+        """The regions of the selected rows, in the order in which they were selected."""
         now = [self._region(row) for row in self._selected()]
         before = [region for region in self._told if region in now]
         return (*before, *(region for region in now if region not in before))
@@ -168,7 +168,7 @@ class CellTable(QTableWidget):
         return triple(self._rows[region][f"centroid_{axis}_um"] for axis in "zyx")
 
     def as_text(self) -> str:
-        """The rows selected, or all, as they are sorted: tab-separated, with a header."""
+        """The selected rows, or all, in table order: tab-separated, with a header."""
         rows = self._selected() or range(self.rowCount())
         shown = [column for c, column in enumerate(self.columns) if not self.isColumnHidden(c)]
         lines = [[column.name for column in shown]]
@@ -178,12 +178,12 @@ class CellTable(QTableWidget):
         return "\n".join("\t".join(line) for line in lines) + "\n"
 
     def copy(self) -> None:
-        """Copy the rows selected, or all, for a spreadsheet."""
+        """Copy the selected rows, or all, for a spreadsheet."""
         clipboard: Any = QApplication.clipboard()
         clipboard.setText(self.as_text())
 
     def event(self, event: QEvent | None) -> bool:
-        """Qt's: Ctrl+C is ours before it is a shortcut of the window."""
+        """Called by Qt: takes Ctrl+C before it becomes a shortcut of the window."""
         if (
             isinstance(event, QKeyEvent)
             and event.type() == QEvent.Type.ShortcutOverride
@@ -243,7 +243,7 @@ class CellTable(QTableWidget):
 
 
 class _Item(QTableWidgetItem):
-    """Sorts by its number, or its words; what has none comes last."""
+    """A table item that sorts by its number or text; empty ones come last."""
 
     def __init__(self, text: str, value: Any) -> None:
         super().__init__(text)
@@ -276,13 +276,13 @@ def _cell(
 
 
 def why_of(row: Mapping[str, Any]) -> str:
-    """What there is to say of a cell; '' for nothing. First why its grade is no better."""
+    """Remarks on a cell, first why its grade is not better; '' for none."""
     why, empty = ("; ".join(part) for part in _notes(row))
     return ". ".join(filter(None, (why, f"Note: {empty}" if empty else "")))
 
 
 def _notes(row: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """What a row says of its cell, and of its columns that are empty: no reasons for a grade."""
+    """Notes on a cell, and on its empty columns; neither are reasons for a grade."""
     parts = [part for part in for_window(str(row.get("note") or "")).split("; ") if part]
     empty = [part for part in parts if part.startswith(_EMPTY)]
     return [part for part in parts if part not in empty], empty

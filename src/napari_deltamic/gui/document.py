@@ -97,14 +97,14 @@ class Document:
 
     @property
     def record(self) -> Record | None:
-        """That of the fit that runs, else one that is rescued, else that of the image chosen."""
+        """The record of the running fit, else the rescued one, else that of the chosen image."""
         if self.running and self._of_run is not None:
             return self._of_run
         return self.rescued or self.records.get(self.image.layer)
 
     @property
     def rescued(self) -> Record | None:
-        """What a fit had reached when its image was removed, until it is let go."""
+        """The record of a fit whose image was removed meanwhile, until it is let go; else None."""
         record = self._rescued
         if record is None or self.running or record.link.image_layer in self.viewer.layers:
             return None
@@ -112,41 +112,41 @@ class Document:
 
     @property
     def in_sight(self) -> bool:
-        """Whether there is an image to look at what is known of it, or a fit that runs."""
+        """Whether a fit runs, or an image is chosen and no rescued record is shown instead."""
         return self.running or (self.image.layer is not None and self.rescued is None)
 
     @property
     def result(self) -> Record | None:
-        """The record where it has a result."""
+        """The record if it has a result, else None."""
         record = self.record
         return record if record is not None and record.state is not None else None
 
     @property
     def link(self) -> ViewerLink | None:
-        """What shows it in the viewer."""
+        """The link that shows the record in the viewer, if there is one."""
         record = self.record
         return None if record is None else record.link
 
     def of_image(self, record: Record) -> bool:
-        """Whether a record is that of the image chosen, or its image is gone."""
+        """Whether a record belongs to the chosen image, or its image is gone."""
         layer = record.link.image_layer
         return layer is self.image.layer or layer not in self.viewer.layers
 
     def name_of_other(self, record: Record | None) -> str:
-        """The name of its image in quotes, where another one is chosen; else ''."""
+        """The name of a record's image in quotes if another image is chosen; else ''."""
         if record is None or self.of_image(record):
             return ""
         return f"'{record.link.image_layer.name}'"
 
     @property
     def timeline(self) -> Timeline:
-        """Its moments."""
+        """The moments of the record; an empty timeline without one."""
         record = self.record
         return Timeline() if record is None else record.timeline
 
     @property
     def other_size(self) -> str:
-        """The voxel size that was fitted, in words, where the image has another one now; else ''.
+        """The fitted voxel size in words if the image has another one now; else ''.
 
         That of the fit which runs, or else of the result.
         """
@@ -155,7 +155,7 @@ class Document:
 
     @property
     def other(self) -> Other:
-        """What the image has of its own now: the fit that runs, or the result, has another one."""
+        """How the image now differs from the one that was fitted, in a word; '' for not at all."""
         record = self.record
         if record is None or (self.running and not self.begun):
             return ""
@@ -169,7 +169,7 @@ class Document:
         return "" if frame.has_place_of(layer) else "place"
 
     def result_of_image(self) -> tuple[Record, Present] | None:
-        """The result of the image chosen, or the newest state of its fit, if there is one."""
+        """The result for the chosen image, or the newest state of its running fit; None without."""
         record = self.records.get(self.image.layer)
         if record is None:
             return None
@@ -180,7 +180,7 @@ class Document:
         return None if present is None else (record, present)
 
     def present(self) -> Present | None:
-        """What there is to change: the newest state of the fit, or its result."""
+        """What can be changed: the newest state of the fit, or its result; None without."""
         run = self.run
         if self.running:
             reached, job = run.reached, run.job
@@ -190,7 +190,7 @@ class Document:
         return None if self.result is None else Present(*self.result.of_fit(), False)
 
     def run_settings(self, seeds: str = "") -> RunSettings:
-        """The whole run as it is chosen, the same object that the command line makes.
+        """The settings of the whole run as chosen, the same object that the command line makes.
 
         seeds : their file; '' where they are in none.
         """
@@ -201,7 +201,7 @@ class Document:
         return RunSettings(image=path, channel=channel, seeds=seeds, scene=scene, fit=fit)
 
     def prepared(self) -> tuple[Callable[[], FitInput], Frame]:
-        """What puts together, in a thread, the fit that is chosen; and its frame."""
+        """A function that puts the chosen fit together, in a thread, and the frame of its image."""
         image, frame = self.image, self.image.frame()
         seeds = self.cells.seeds(frame)
         settings = self.run_settings(seeds.path)
@@ -222,7 +222,7 @@ class Document:
     # ---- what is done -------------------------------------------------------------------------
 
     def record_for(self, frame: Frame) -> Record:
-        """The record of the image chosen, for a fit in a frame, at the time that is shown."""
+        """The record of the chosen image, or a new one, for a fit in a frame at the time shown."""
         layer = self.image.layer
         time = tuple(self.viewer.dims.current_step[:-3])
         self._place = frame, time, reference(layer.data)
@@ -234,7 +234,7 @@ class Document:
         return record
 
     def mend_link(self, record: Record) -> None:
-        """Show a record by new layers where the user has removed one: those left are of no use."""
+        """Show a record in new layers if the user has removed one of the old ones."""
         link = record.link
         if not link.whole:
             link.remove()
@@ -244,7 +244,7 @@ class Document:
                 record.link.show_mesh(record.state.mesh)
 
     def start(self, run: Any, record: Record, *, fresh: bool) -> None:
-        """Start a fit of the image of a record; InputError where something else runs."""
+        """Start a fit of the image of a record; InputError if something else runs."""
         self._forget_rescued()
         self.run, self._of_run, self.begun, self._fresh = run, record, False, fresh
         run.render = self.view != "image"
@@ -252,7 +252,7 @@ class Document:
         self.said.emit("preparing the seeds ..." if fresh else "starting ...")
 
     def begin(self, record: Record) -> None:
-        """The first state of a run is there: only now that before it is given up."""
+        """Take up the first state of a run; only now the earlier result is given up."""
         if not self.begun:
             self.begun = True
             record.begin(self._fresh)
@@ -262,7 +262,7 @@ class Document:
             self.began.emit(self._fresh)
 
     def reopen(self, result: SavedResult, job: FitInput) -> Generator[None]:
-        """Take over the result of an earlier fit of the image chosen, with its history.
+        """Take over the result of an earlier fit of the chosen image, with its history.
 
         Where it yields, the window may do what waits.
         """
@@ -280,16 +280,16 @@ class Document:
             yield
 
     def note_saved(self, record: Record, result: Fitted | None) -> None:
-        """A session file holds a result of a record; None: a state on the way to another one."""
+        """Note that a session file holds this result; None: it holds an intermediate state only."""
         record.saved = result or record.saved
 
     def let_go_rescued(self) -> None:
-        """What was rescued is wanted no more: what is known of the image chosen is shown again."""
+        """Drop the rescued record, and show again what is known about the chosen image."""
         if self._forget_rescued():
             self.image.changed.emit()
 
     def _forget_rescued(self) -> bool:
-        """Let it go; whether there was anything."""
+        """Drop the rescued record; returns whether there was one."""
         record, self._rescued = self._rescued, None
         if record is None or record.link.image_layer in self.viewer.layers:
             return False
@@ -298,7 +298,7 @@ class Document:
         return True
 
     def look_back(self, earlier: bool) -> None:
-        """Whether an earlier moment of a fit is looked at."""
+        """Set whether an earlier moment of a fit is shown."""
         if earlier != self.earlier:
             self.earlier = earlier
             self.looked_back.emit()
@@ -310,7 +310,7 @@ class Document:
             self.selection_changed.emit()
 
     def look(self, view: View) -> None:
-        """Look at the image, or at what the fit says of it."""
+        """Show the image, or what the fit says about it; view : one of ``VIEWS``."""
         if view != self.view:
             self.view = view
             if self.run is not None:
@@ -318,44 +318,44 @@ class Document:
             self.view_changed.emit()
 
     def look_further(self) -> None:
-        """At the image, the rendered one, the residual, or both images, in turn."""
+        """Show the next of ``VIEWS`` in turn."""
         self.look(VIEWS[(VIEWS.index(self.view) + 1) % len(VIEWS)])
 
     def busy(self) -> bool:
-        """Whether something runs that must be stopped first; the user is told so."""
+        """Whether something runs that must be stopped first; if so, the user is told."""
         if self.work.occupied:
             self.told.emit(self.work.occupied)
         return bool(self.work.occupied)
 
     def guarded(self, action: Callable[[], None], checked: bool = False) -> None:
-        """Run something that may fail; the user reads why, without a traceback."""
+        """Run an action about the fit; if it fails, the user reads why, without a traceback."""
         attempt(action, self.refuse)
 
     def attempt(self, action: Callable[[], None], checked: bool = False) -> None:
-        """The same for what has nothing to do with the fit that is shown: files, for example."""
+        """The same for actions that do not concern the fit shown, such as on files."""
         attempt(action, self.warned.emit)
 
     def refuse(self, reason: str) -> None:
-        """Tell why something was not done."""
+        """Tell the user why something was not done."""
         self.noted.emit(reason)
         self.warned.emit(reason)
 
     def background(self, on_error: Callable[[str], None]) -> Background:
-        """Runs short functions, as long as there is a window."""
+        """An object that runs short functions in a thread, until the window is closed."""
         made = Background(on_error)
         self.at_end(made.close)
         return made
 
     def listen(self, emitter: Any, slot: Callable[..., None], **how: Any) -> None:
-        """Connect a slot to events of the viewer, as long as there is a window."""
+        """Connect a slot to events of the viewer until the window is closed."""
         self._connections.connect(emitter, slot, **how)
 
     def at_end(self, *calls: Callable[[], None]) -> None:
-        """What is to be done when the window is closed."""
+        """Register calls to be made when the window is closed."""
         self._last += calls
 
     def would_end(self) -> str:
-        """What closing the window would end or lose, and what is kept of it; '' for nothing."""
+        """A text on what closing the window would end or lose, and what is kept; '' for nothing."""
         ends = "" if self.work.task is None else self.work.task.kept
         tell = (self._unsaved_results, *self._at_stake)
         loses = [text for text in (one() for one in tell) if text]
@@ -364,7 +364,7 @@ class Document:
         return "\n\n".join(filter(None, (ends, " ".join(loses))))
 
     def ask_before_losing(self, tell: Callable[[], str]) -> None:
-        """What else closing the window would lose, in a sentence; '' for nothing."""
+        """Register a function that tells in a sentence what else would be lost; '' for nothing."""
         self._at_stake.append(tell)
 
     def _unsaved_results(self) -> str:
@@ -377,7 +377,7 @@ class Document:
         )
 
     def close(self, gone: Any = None) -> None:
-        """End everything; once is enough."""
+        """End everything; further calls do nothing."""
         if self._closed:
             return
         self._closed = True
@@ -398,7 +398,7 @@ class Document:
                     getattr(signals, name).disconnect()
 
     def _place_link(self, record: Record) -> None:
-        """What is shown of a record is from now on where, and when, the last fit was started."""
+        """Place what is shown of a record where, and at the time at which, its last fit started."""
         frame, time, record.pixels = self._place
         if record.link.frame != frame:
             # What it showed lies elsewhere now; cells of another fit start there, perhaps.
@@ -412,12 +412,12 @@ class Document:
         return link
 
     def _follow_image(self) -> None:
-        """What shows the fit of another image is not seen over the one chosen."""
+        """Show only the fit of the chosen image, not those of other images."""
         for record in self.records.values():
             record.link.follow_image(self.of_image(record))
 
     def _lost(self, layer: Any, reason: str) -> None:
-        """A layer that the fit needs is gone: end it, keep what it reached."""
+        """A layer that the fit needs was removed: stop the fit, and keep what it reached."""
         record = self.record
         lost = record is not None and record.link.image_layer is layer
         if lost and self.running and not self.run.stopping:
@@ -425,7 +425,7 @@ class Document:
             self.warned.emit(f"the fit ends, as {reason}; its result can still be saved")
 
     def _layer_removed(self, event: Any) -> None:
-        """What is known of an image goes with it; of one that was being fitted it can be saved."""
+        """Drop the record of a removed image; if it was being fitted, rescue it for saving."""
         record = self.records.get(event.value)
         if record is None:
             return

@@ -74,13 +74,13 @@ class TripleField(QWidget):
 
 
 class _AsTyped:
-    """For a spin box: what is typed is taken as a whole, or not at all, which is told.
+    """Mixin for spin boxes: typed text is taken as a whole, or refused with a message.
 
     Qt's swallow each key that suits no number: 0,26 would become 26, and 290 nm 290.
     """
 
     def be_told(self: Any) -> None:
-        """Called once it is made."""
+        """Set it up; to be called once after construction."""
         self._why = ""
         self._soon = one_shot(self, self._show_why)
         self.lineEdit().textEdited.connect(self._retyped)
@@ -92,12 +92,12 @@ class _AsTyped:
             self.refused.emit("")
 
     def validate(self: Any, text: str | None, place: int) -> Any:
-        """Called by Qt, for each key too."""
+        """Called by Qt, also for each key; no text is rejected while typing."""
         known = QValidator.State.Acceptable
         return (QValidator.State.Intermediate if self._trouble(text) else known), text, place
 
     def fixup(self: Any, text: str | None) -> str:
-        """Called by Qt where a text that is no number is to be taken: the old number stays."""
+        """Called by Qt when a text that is not a valid number is entered: the old number stays."""
         if self._bare(text):
             self._why = f"{self._trouble(text)}: {self.textFromValue(self.value())} stays"
             self.refused.emit(self._why)
@@ -105,14 +105,14 @@ class _AsTyped:
         return text or ""
 
     def valueFromText(self: Any, text: str | None) -> Any:
-        """Called by Qt, for a text that is a number."""
+        """The number in a text; called by Qt."""
         bare = self._bare(text)
         if bare and bare == self.specialValueText():
             return self.minimum()
         return self.value() if self._trouble(text) else self.read(bare)
 
     def _trouble(self: Any, text: str | None) -> str:
-        """Why a text cannot be taken; '' where it can."""
+        """Why a text cannot be taken; '' if it can."""
         bare = self._bare(text)
         if bare and bare == self.specialValueText():
             return ""
@@ -135,7 +135,7 @@ class _AsTyped:
 
 
 class Whole(_AsTyped, QSpinBox):
-    """A whole number."""
+    """A spin box for whole numbers."""
 
     refused = Signal(str)  # why what was typed was not taken; '' as soon as more is typed
     kind = "whole number"
@@ -156,7 +156,7 @@ class Whole(_AsTyped, QSpinBox):
 
 
 class Number(_AsTyped, QDoubleSpinBox):
-    """A number, 0 or more unless signed, without zeros at its end; a comma may be its point.
+    """A spin box for numbers from 0 (unless signed), without trailing zeros; takes decimal commas.
 
     It is wide open: a value in another unit is to be named, not cut.
     """
@@ -226,14 +226,14 @@ class Form(QWidget):
                 self.form.addRow(label, field)
 
     def values(self) -> dict[str, Any]:
-        """What is shown, as plain values; together they may be no good."""
+        """What is shown, as plain values by name; their combination need not be valid."""
         return {name: self.value(name) for name in self.fields}
 
     def value(self, name: str) -> Any:
         return self._exact[name] if name in self._exact else _value(self.fields[name])
 
     def show_values(self, settings: Any) -> None:
-        """Show a settings object; fields that it leaves open, and cannot be, stay as they are."""
+        """Show a settings object; an open value leaves a field unchanged that cannot show one."""
         for name in self.fields:
             self.show_value(name, getattr(settings, name))
 
@@ -248,7 +248,7 @@ class Form(QWidget):
 
 
 def _field(found: Described, parent: QWidget) -> tuple[Any, Any]:
-    """A field, and the signal by which it tells that the user has edited it."""
+    """A field for a setting, and its signal that the user has edited it."""
     if found.kind == "switch":
         switch = QCheckBox(found.title, parent)
         switch.setChecked(bool(found.default))
@@ -311,13 +311,13 @@ def _show(field: Any, value: Any) -> None:
 
 
 def written(text: str) -> float | None:
-    """A number as it was typed, with a point or a comma; None for anything else."""
+    """The number in a typed text, with a point or a comma; None for anything else."""
     plain = text.replace(",", ".").replace("\u2212", "-")
     return float(plain) if _WRITTEN.fullmatch(plain) else None
 
 
 def number_or_text(text: str) -> str | float:
-    """A number as it was typed, or else the text in lower case."""
+    """The number in a typed text, or else the text in lower case."""
     try:
         return float(text.replace(",", "."))
     except ValueError:

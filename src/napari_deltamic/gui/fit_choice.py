@@ -1,4 +1,4 @@
-"""What of a fit is chosen: accuracy, PSF, effects and all else; panels show it, and change it."""
+"""The user's choices for a fit: accuracy, PSF, effects and all else; panels show and edit them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class FitChoice:
     # ---- what is chosen -----------------------------------------------------------------------
 
     def fit_settings(self) -> FitSettings:
-        """Those of the fit."""
+        """The settings of the fit. InputError if one is invalid."""
         word = self.accuracy
         of_shape = word in SHAPE_CHOICES or is_length(word)  # numbers alone are of images
         by_noise = word == NORMAL or is_length(word)
@@ -74,19 +74,19 @@ class FitChoice:
         return self.other_settings().model_copy(update=found)
 
     def fit_of_any_image(self) -> FitSettings:
-        """The same for other images: what their noise decides is left to each of them."""
+        """The same for other images: what depends on the noise is left to each of them."""
         found = self.fit_settings()
         named = self.accuracy in SHAPE_CHOICES
         return found.model_copy(update={"accuracy": None}) if named else found
 
     def other_settings(self) -> FitSettings:
-        """The same without the accuracy."""
+        """The same without the accuracy. InputError if one is invalid."""
         if isinstance(self._fit, InputError):
             raise InputError(str(self._fit))
         return self._fit
 
     def scene_settings(self) -> SceneSettings:
-        """Voxel size of the image chosen, PSF and effects."""
+        """Voxel size of the chosen image, PSF and effects. InputError if the PSF is incomplete."""
         if isinstance(self.psf, InputError):
             raise InputError(str(self.psf))
         values = {
@@ -98,16 +98,16 @@ class FitChoice:
         return validated(SceneSettings, values)
 
     def number(self) -> float:
-        """What the accuracy stands for on this image."""
+        """The number that the chosen accuracy stands for on this image."""
         return accuracy_of(self.accuracy, self.noise() if relative(self.accuracy) else 0.0)
 
     @property
     def psf_is_open(self) -> bool:
-        """Whether nobody has said what the PSF is: the image is to tell it when a fit starts."""
+        """Whether the PSF was not given, so that the image tells it when a fit starts."""
         return not self._sigma_given and self.psf is None
 
     def psf_key(self) -> str:
-        """What is the same as long as the PSF is."""
+        """A key that is equal as long as the PSF is the same."""
         return repr(self.sigma if self.psf is None else self.psf)
 
     def psf_in_words(self) -> str:
@@ -121,12 +121,12 @@ class FitChoice:
     # ---- by the user --------------------------------------------------------------------------
 
     def edit_fit(self, values: Mapping[str, Any]) -> None:
-        """Take plain values of all settings but the accuracy."""
+        """Take plain values of all settings except the accuracy."""
         self._fit = _made(lambda: validated(FitSettings, dict(values)))
         self.changed.emit(True)
 
     def type_accuracy(self, choice: str) -> None:
-        """Take what may not be complete yet."""
+        """Take a typed accuracy, which may not be complete yet."""
         self.accuracy = chosen(choice)
 
     def edit_accuracy(self, choice: str) -> None:
@@ -134,7 +134,7 @@ class FitChoice:
         self.changed.emit(True)
 
     def edit_psf(self, settings: Callable[[], Any]) -> None:
-        """Take the settings of a PSF, or why there are none."""
+        """Take the settings of a PSF from a function, or the InputError that it raises."""
         self.psf = _made(settings)
         self.changed.emit(True)
 
@@ -149,7 +149,7 @@ class FitChoice:
     # ---- by something else --------------------------------------------------------------------
 
     def show_fit(self, settings: FitSettings) -> None:
-        """Take those of a fit."""
+        """Take the settings of a fit."""
         self._fit = settings.model_copy(update={"accuracy": None, "shape_error": NORMAL})
         number = NORMAL if settings.accuracy is None else written(settings.accuracy)
         self.show_accuracy(number if settings.shape_error == NORMAL else settings.shape_error)
@@ -176,7 +176,7 @@ class FitChoice:
         self.changed.emit(False)
 
     def _guess_sigma(self) -> None:
-        """Another image, or voxel size: a PSF that nobody has given is of that."""
+        """Adapt a PSF that was not given by the user to another image, or voxel size."""
         layer = self._image.layer
         if self._came_with is not None and self._came_with() is not layer:
             self._came_with, self._sigma_given, self.psf = None, False, None
@@ -186,13 +186,13 @@ class FitChoice:
 
 
 def widths_in_words(sigma: Triple) -> str:
-    """Z / Y / X, one number where Y and X are the same."""
+    """Widths along Z, Y, X in words; one number if Y and X are the same."""
     z, y, x = (f"{s:.2f}" if s >= 0.1 else f"{s:.3f}" for s in sigma)
     return f"{z} (z), {y} (yx)" if y == x else f"{z} (z), {y} (y), {x} (x)"
 
 
 def _made(make: Callable[[], Any]) -> Any:
-    """What a function gives, or the InputError that it raises."""
+    """What a function returns, or the InputError that it raises."""
     try:
         return make()
     except InputError as error:
@@ -200,7 +200,7 @@ def _made(make: Callable[[], Any]) -> Any:
 
 
 class NoiseOf:
-    """The noise of the image chosen, measured once for each image and time."""
+    """The noise of the chosen image, measured once for each image and time."""
 
     def __init__(self, image: ImageSource) -> None:
         self._image = image
@@ -216,14 +216,14 @@ class NoiseOf:
 
     @property
     def known(self) -> float | None:
-        """The noise where it was measured, else None."""
+        """The noise if it was measured, else None."""
         return self._noise if self._held or self._of == self._image.key() else None
 
     def hold(self, on: bool) -> None:
-        """While a fit runs, that of its image counts, where it is known."""
+        """While a fit runs, keep the noise of its image, if known."""
         self._held = on and self.known is not None
 
     def learn(self, key: tuple[Any, ...], noise: float) -> None:
-        """Take over what was measured elsewhere."""
+        """Take over a noise that was measured elsewhere."""
         if key and not self._held:
             self._of, self._noise = key, noise

@@ -78,27 +78,27 @@ class FitWidget(QWidget):
             doc.warned.emit(remark)
 
     def start(self) -> None:
-        """Start a fit of what is chosen; says in plain words what is missing."""
+        """Start a fit of what is chosen; if something is missing, the user is told what."""
         self.control.start()
 
     def start_or_stop(self) -> None:
-        """Start a fit of what is chosen, or end what runs."""
+        """Start a fit of what is chosen, or stop what runs."""
         if self.doc.work.task is None:
             self.start()
         else:
             self.stop()
 
     def stop(self) -> None:
-        """End what runs; what it reached is kept."""
+        """Stop what runs; what it reached is kept."""
         self.doc.work.stop()
 
     def close_links(self) -> None:
-        """End what runs, and let the viewer go; the widget is of no use after that."""
+        """Stop what runs, and release the viewer; the widget is of no use after that."""
         self.seeds.preview.clear()
         self.doc.close()
 
     def _keys(self) -> Mapping[str, Callable[[], Any]]:
-        """What keys of the viewer do.
+        """The actions of keys in the viewer.
 
         No Alt: with it, Linux and Windows open napari's menus, and macOS types other letters.
         """
@@ -111,15 +111,15 @@ class FitWidget(QWidget):
         }
 
     def _simulate(self) -> None:
-        """Open the other widget of this plugin, in a tab: below, it would leave no room here."""
+        """Open the plugin's other widget in a tab: below this one there would be no room."""
         self.doc.viewer.window.add_plugin_dock_widget(PLUGIN, "Simulate cells", tabify=True)
 
     def sizeHint(self) -> QSize:
-        """Qt's: as wide as the table wants."""
+        """Called by Qt: as wide as the table needs."""
         return QSize(_WIDTH, super().sizeHint().height())
 
     def event(self, event: QEvent | None) -> bool:
-        """Qt's events; napari closes a dock by taking its widget out, without deleting it."""
+        """Called by Qt: napari closes a dock by taking its widget out, without deleting it."""
         if event is not None and event.type() == QEvent.Type.ParentChange:
             if self.parent() is None and self._docked:
                 self.close_links()
@@ -165,7 +165,7 @@ class Header(QWidget):
 
 
 class Column(QScrollArea):
-    """Scrolls up and down only, so it is never narrower than what it shows."""
+    """A scroll area that scrolls only vertically, so it is never narrower than its content."""
 
     def __init__(self, shown: QWidget, parent: QWidget) -> None:
         super().__init__(parent)
@@ -178,7 +178,7 @@ class Column(QScrollArea):
         self._soon = one_shot(self, self._go)  # when what was just shown has its place
 
     def show_part(self, part: QWidget, event: Any = None) -> None:
-        """Scroll until a part of what it shows is seen."""
+        """Scroll until a part of the content is visible."""
         self._part = part
         self._soon.start()
 
@@ -187,7 +187,7 @@ class Column(QScrollArea):
             self.ensureWidgetVisible(self._part, 0, 0)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Qt's, of what it shows; the theme, which decides how wide things are, may come late."""
+        """Called by Qt for events of the content: its width may change late, with the theme."""
         kinds = (QEvent.Type.LayoutRequest, QEvent.Type.Resize)
         shown, bar = self.widget(), self.verticalScrollBar()
         if shown is not None and bar is not None and event is not None and event.type() in kinds:
@@ -206,7 +206,7 @@ def bind_keys(doc: Document, actions: Mapping[str, Callable[[], Any]]) -> None:
 
 
 def ask_before_closing(widget: QWidget, lost: Callable[[], str]) -> None:
-    """Let the close button of the dock that a widget lies in ask, where something would be lost.
+    """Make the close button of a widget's dock ask first if something would be lost.
 
     Whoever takes the widget out of its dock by other means, as scripts do, is not asked.
 

@@ -99,12 +99,12 @@ class ImagePanel(QGroupBox):
         self._tell(self._described(layer, unknown, no_length), needed=unknown or no_length)
 
     def _tell(self, text: str, *, needed: bool = False) -> None:
-        """Say something; in the colour of warnings where the user is needed."""
+        """Show a text; in the colour of warnings if the user is needed."""
         self._told = text, needed
         self.note.say(text, "fair" if needed else "")
 
     def _refuse_size(self, why: str) -> None:
-        """What was typed is no voxel size; '' as soon as more is typed."""
+        """Say why what was typed is not a voxel size; '' as soon as more is typed."""
         text, needed = (sentence(why), True) if why else self._told
         self.note.say(text, "fair" if needed else "")
 
@@ -123,7 +123,7 @@ class ImagePanel(QGroupBox):
         return text
 
     def _offer_channels(self) -> None:
-        """Those of the layer, or of what it is a channel of; else of one that cannot be fitted."""
+        """List the channels of the layer, of the layer it was taken from, or of an unusable one."""
         layer = self._of_channels = self._image.with_channels()
         self._choices = channels(layer)
         self.channels.clear()

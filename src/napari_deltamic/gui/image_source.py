@@ -70,14 +70,14 @@ class ImageSource(LayerChoice):
             self._connections.connect(emitter, self._look, position="last")
 
     def frame(self) -> Frame:
-        """Of what is fitted. InputError if there is no image, or it is turned."""
+        """The frame of what is fitted. InputError if there is no image, or it is rotated."""
         if self.layer is None:
             raise InputError(self.missing())
         frame = Frame.of(self.layer)
         return frame if self.box is None else frame.within(self.box)
 
     def under(self, layer: Any) -> tuple[Frame, Callable[[], NDArray[Any]]]:
-        """The frame and the voxels of the image under a layer of the region, or of all."""
+        """Frame and voxels of the image under a layer of the region, or of the whole image."""
         if self.box is not None and tuple(layer.data.shape[-3:]) == self.shape():
             return self.frame(), self.reader()
         whole = unread_stack_of(self.layer, tuple(self._viewer.dims.current_step))
@@ -90,20 +90,20 @@ class ImageSource(LayerChoice):
 
     @property
     def time(self) -> tuple[int, ...]:
-        """The step shown along the axes before Z, Y, X of the layer; () where it has none."""
+        """The steps shown along the layer's axes before Z, Y, X; () if it has none."""
         layer = self.layer
         if layer is None or layer.ndim < 4:
             return ()
         return tuple(int(step) for step in self._viewer.dims.current_step[-layer.ndim : -3])
 
     def key(self) -> tuple[Any, ...]:
-        """Equal as long as the voxels are the same ones; () where there is no image."""
+        """A key that is equal as long as the voxels are the same; () without an image."""
         if self.layer is None:
             return ()
         return weakref.ref(self.layer), id(self.layer.data), self.time, self.box
 
     def shape(self) -> tuple[int, ...]:
-        """Of ``stack``, without reading it."""
+        """Shape of ``stack``, without reading it."""
         shape = shape_of(self.layer)
         return shape if self.box is None else tuple(b - a for a, b in self.box)
 
@@ -115,26 +115,26 @@ class ImageSource(LayerChoice):
         return self.reader(layer)()
 
     def reader(self, layer: Any = None) -> Callable[[], NDArray[Any]]:
-        """Reads the same when it is called, in any thread. InputError if there is no image."""
+        """A function that reads ``stack`` in any thread. InputError if there is no image."""
         chosen = self.layer if layer is None else layer
         if chosen is None:
             raise InputError(self.missing())
         return partial(finite, self.unread(chosen))
 
     def unread(self, layer: Any) -> Any:
-        """The region of a layer that lies on the voxels of the image, before it is read."""
+        """The fitted region of a layer on the image's voxels, before it is read."""
         whole = unread_stack_of(layer, tuple(self._viewer.dims.current_step))
         return whole if self.box is None else whole[tuple(slice(a, b) for a, b in self.box)]
 
     def file(self) -> tuple[str, str | None]:
-        """The file with an image of this shape, or "", and its channel where it has several."""
+        """The file that holds this image, or "", and its channel there if it has several."""
         known = self.layer is not None and self.box is None
         return file_of(self.layer) if known else ("", None)
 
     # ---- what is chosen of the layer ----------------------------------------------------------
 
     def take_channel(self, whole: Any, choice: Choice) -> None:
-        """One channel of a layer as a layer of its own, in the place of all, or of another one."""
+        """Show one channel of a layer as its own layer, instead of all channels or another one."""
         if whole is None or whole not in self._viewer.layers:
             return
         of = weakref.ref(whole), choice
@@ -157,7 +157,7 @@ class ImageSource(LayerChoice):
 
     @property
     def taken_channel(self) -> Choice | None:
-        """Which of the channels of :meth:`with_channels` the layer is; None if it is not."""
+        """The choice that makes this layer one channel of :meth:`with_channels`; else None."""
         of = None if self.layer is None else self._taken.get(self.layer)
         return of[1] if of is not None and of[0]() in self._viewer.layers else None
 
@@ -170,7 +170,7 @@ class ImageSource(LayerChoice):
         return self.layer if self.layer is not None or not others else others[-1]
 
     def take_region(self, box: Box | None) -> None:
-        """Fit a region of the layer; None: all of it. InputError if it is too small."""
+        """Fit only a region of the layer; None: all of it. InputError if it is too small."""
         wanted = None if box is None else _large_enough(box)
         self._of_region.undo()
         self._take_box(wanted)
@@ -181,7 +181,7 @@ class ImageSource(LayerChoice):
             self.changed.emit()
 
     def show(self) -> None:
-        """Let the layer be seen: the other images that would cover it are hidden."""
+        """Make the layer visible, and hide other images that would cover it."""
         layer, layers = self.layer, list(self._viewer.layers)
         if layer not in layers:
             return
@@ -191,7 +191,7 @@ class ImageSource(LayerChoice):
                 other.visible = False
 
     def follow_drawn(self) -> None:
-        """Fit the region of the rectangle drawn, also where that is moved, or drawn anew, later.
+        """Fit the region of the rectangle drawn, and follow when it is moved or drawn anew.
 
         InputError where there is none, or it is too small.
         """
@@ -203,7 +203,7 @@ class ImageSource(LayerChoice):
         self._of_region.connect(layer.events.data, self._redrawn)
 
     def _redrawn(self, event: Any) -> None:
-        """A rectangle was moved, or another one drawn; where it was removed, the region stays."""
+        """Follow a rectangle that was moved or drawn anew; if it was removed, the region stays."""
         action = getattr(event, "action", "changed")
         moved = str(getattr(action, "value", action)) in ("added", "changed")
         if not moved or not len(event.source.data):
@@ -216,7 +216,7 @@ class ImageSource(LayerChoice):
             self.looked.emit()  # why it stayed holds no more
 
     def _box_of(self, layer: Any) -> Box:
-        """Of the rectangle that is selected or was drawn last, over all slices across it."""
+        """The box of the rectangle that is selected or was drawn last, over all slices."""
         chosen = sorted(layer.selected_data) or [len(layer.data) - 1]
         corners = np.concatenate([np.asarray(layer.data[k], float) for k in chosen])
         dims = len(layer.scale)
@@ -228,7 +228,7 @@ class ImageSource(LayerChoice):
         return self._box_between(low, high)
 
     def _box_between(self, low: ArrayLike, high: ArrayLike) -> Box:
-        """Of two corners in the world, cut to the image."""
+        """The box between two corners in world coordinates, cut to the image."""
         layer, shape = self.layer, np.array(data_of(self.layer).shape[-3:])
         ends = [(np.asarray(x) - layer.translate[-3:]) / layer.scale[-3:] for x in (low, high)]
         first = np.clip(np.ceil(ends[0] - 0.5), 0, shape)
@@ -285,7 +285,7 @@ class ImageSource(LayerChoice):
                 setattr(layer, name, value)
 
     def _has_no_place(self, layer: Any) -> bool:
-        """Whether labels of as many voxels as the image say nothing of where they lie."""
+        """Whether a layer holds labels of the image's shape that do not say where they lie."""
         return (
             isinstance(layer, Labels)
             and layer.ndim == 3
@@ -295,7 +295,7 @@ class ImageSource(LayerChoice):
         )
 
     def _take_size_of_file(self, layer: Any) -> None:
-        """The voxel size that a TIFF file notes, where the layer has none."""
+        """Take the voxel size from the layer's TIFF file if the layer has none."""
         asked = origin_of(layer)
         unscaled = np.allclose(layer.scale[-3:], 1) and um_per_unit(layer) is None
         if unscaled and asked not in self._asked:
@@ -305,7 +305,7 @@ class ImageSource(LayerChoice):
                 self._rescale(size)
 
     def _rescale(self, scale: ArrayLike) -> None:
-        """Give the layer another scale along Z, Y, X; what lies on its voxels stays on them."""
+        """Give the layer another scale along Z, Y, X; layers on its voxels stay on them."""
         layer, others = self.layer, [x for x in self._viewer.layers if self._goes_along(x)]
         ratio = np.asarray(scale, float) / layer.scale[-3:]
         if um_per_unit(layer) is None:  # someone has now said how large its voxels are
@@ -320,7 +320,7 @@ class ImageSource(LayerChoice):
             other.scale = (*other.scale[:-3], *(other.scale[-3:] * ratio))
 
     def _goes_along(self, other: Any) -> bool:
-        """Whether a layer of the user is of the voxels of the image: clicked there, or like it."""
+        """Whether a layer of the user belongs to the image's voxels, as labels or points do."""
         layer = self.layer
         if other is layer or other.ndim < 3 or made_by_fit(other):
             return False
@@ -365,11 +365,11 @@ class SecondSource(LayerChoice):
         return kind_of(ViewEffect)(sigma=self.sigma, image=path if whole else "")
 
     def pixels(self) -> NDArray[Any] | None:
-        """(Z, Y, X) of the layer, at the time shown; None for no second view."""
+        """The voxels (Z, Y, X) of the layer at the time shown; None without a second view."""
         return None if self.layer is None else self._image.stack(self.layer)
 
     def show(self, layer: Any, sigma: Triple | None = None) -> None:
-        """Take over a choice, which is no edit; None for no second view."""
+        """Show a choice, which does not count as an edit; None for no second view."""
         self._quiet = True
         if sigma is not None:
             self.sigma, self._given = sigma, True
@@ -378,12 +378,12 @@ class SecondSource(LayerChoice):
         self.shown.emit()
 
     def resize(self, sigma: Triple) -> None:
-        """The user knows how wide its PSF is."""
+        """Take the widths of its PSF from the user."""
         self.sigma, self._given = sigma, True
         self.edited.emit()
 
     def both(self) -> list[Any]:
-        """The image and its second view, where there is one."""
+        """The image and its second view; [] if one is missing."""
         layers = [self.layer, self._image.layer]
         return layers if None not in layers else []
 
@@ -402,14 +402,14 @@ class SecondSource(LayerChoice):
 
 
 def _large_enough(box: Box) -> Box:
-    """A region that can be fitted. InputError if it is too small."""
+    """The region itself. InputError if it is too small to be fitted."""
     if min(b - a for a, b in box) < _SMALLEST:
         raise InputError(f"the region must be {_SMALLEST} voxels wide along each axis")
     return box
 
 
 def _in_um(layer: Any) -> None:
-    """Lengths of a layer without a unit are um; napari draws none where some are and some not."""
+    """Give a layer without units um: napari draws no layers if only some have units."""
     if layer.ndim >= 3 and um_per_unit(layer) is None:
         layer.units = (*layer.units[:-3], *(("um",) * 3))
 
@@ -419,7 +419,7 @@ def _unmoved(layer: Any) -> bool:
 
 
 def _check_on_voxels(layer: Any, image: Any) -> None:
-    """InputError, with what to do, unless both layers have the same voxels."""
+    """Raise InputError, with what to do, unless both layers have the same voxels."""
     advice = "register it to the image and resample it on the image's voxels first"
     shape, of_image = shape_of(layer), shape_of(image)
     if shape != of_image:

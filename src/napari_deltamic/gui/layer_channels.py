@@ -1,4 +1,4 @@
-"""Which file and channel an image layer shows, and which channels may be chosen of one."""
+"""The file and channel that an image layer shows, and the channels that may be chosen."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Choice = tuple[int, int, int, str]
 
 
 def channel_axes(layer: Any) -> tuple[int, ...]:
-    """Axes of an image layer that channels may lie along: as its file says, else as it looks."""
+    """Axes of an image layer that may hold channels: by its file, else by its shape."""
     if not isinstance(layer, Image) or layer.rgb or layer.ndim < 4 or made_by_fit(layer):
         return ()
     stored = channels_of_file(layer)
@@ -46,7 +46,7 @@ def channel_axes(layer: Any) -> tuple[int, ...]:
 
 
 def channels(layer: Any) -> list[Choice]:
-    """Each channel that a layer may have."""
+    """All channels that may be chosen of a layer."""
     axes = () if layer is None else channel_axes(layer)
     stored = channels_of_file(layer) if axes else None
     names = () if stored is None else stored.channels
@@ -74,7 +74,7 @@ def channel_layer(layer: Any, choice: Choice) -> Image:
 
 
 def is_one_channel(layer: Any) -> bool:
-    """Whether a layer can be fitted: a stack or a series, and its file tells no channels of it."""
+    """Whether a layer can be fitted: a stack or series that has one channel by its file."""
     return is_stack(layer) and channels_of_file(layer) is None
 
 
@@ -142,7 +142,7 @@ def file_of(layer: Any) -> tuple[str, str | None]:
 
 
 def channels_of_file(layer: Any) -> Stored | None:
-    """What the file of a layer tells, where it says that the layer has several channels."""
+    """What is stored in a layer's file if by that the layer has several channels; else None."""
     path = getattr(layer.source, "path", None)
     if not path or layer.ndim < 4 or not isinstance(layer, Image) or layer.rgb:
         return None
@@ -153,7 +153,7 @@ def channels_of_file(layer: Any) -> Stored | None:
 
 
 def noted_size(layer: Any) -> VoxelSize | None:
-    """um, Z Y X: the voxel size that the TIFF file of a layer notes; None where it notes none."""
+    """The voxel size (um, Z Y X) in the TIFF file of a layer; None if it gives none."""
     path = Path(origin_of(layer)[0])
     stored = _opened(path) if path.suffix.lower() in TIFF else None
     if stored is None:
@@ -164,7 +164,7 @@ def noted_size(layer: Any) -> VoxelSize | None:
 
 
 def _opened(file: Path) -> Stored | None:
-    """What a file tells, without its voxels; None where it is no image file that can be read."""
+    """What is stored in a file, without its voxels; None if it is not a readable image."""
     if file.suffix.lower() not in IMAGE_FILES:
         return None
     try:

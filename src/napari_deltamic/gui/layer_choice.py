@@ -32,21 +32,21 @@ class Layers:
         self.refresh()
 
     def refresh(self, event: Any = None) -> None:
-        """Look at the viewer's layers again; what was chosen stays where it can."""
+        """Look at the viewer's layers again; what was chosen stays chosen if possible."""
         raise NotImplementedError
 
     def found(self) -> list[Any]:
-        """Those that can be used now, from the lowest to the highest."""
+        """The layers that can be used now, from lowest to highest."""
         return [layer for layer in self._viewer.layers if self._accepts(layer)]
 
     def close_links(self) -> None:
-        """Listen to the viewer no more, and let its layers go."""
+        """Stop listening to the viewer, and release its layers."""
         self._connections.undo()
         self.layers = []
 
 
 class LayerChoice(Layers):
-    """One of them, or none.
+    """A choice of one of the layers, or none.
 
     optional : whether there may be none; then none is chosen but by the user.
     """
@@ -61,7 +61,7 @@ class LayerChoice(Layers):
         super().__init__(viewer, accepts)
 
     def choose(self, layer: Any) -> None:
-        """Choose a layer that can be used, or None where there may be none."""
+        """Choose a layer that can be used, or None if there need not be one."""
         if layer is not self.layer and (layer in self.layers or (self.optional and layer is None)):
             self.layer = layer
             self.listed.emit()
@@ -78,7 +78,7 @@ class LayerChoice(Layers):
             self._layer_changed()
 
     def _layer_changed(self) -> None:
-        """Another layer is chosen: tell it."""
+        """Signal that another layer is chosen."""
         self.changed.emit()
 
     def close_links(self) -> None:
@@ -87,7 +87,7 @@ class LayerChoice(Layers):
 
 
 class LayerTicks(Layers):
-    """Any number of them; new layers are ticked, except those that a fit made."""
+    """A choice of any number of layers; new ones are ticked, except those that a fit made."""
 
     chosen = Signal()  # other ones are ticked
 

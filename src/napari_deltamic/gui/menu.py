@@ -1,4 +1,4 @@
-"""Entries of napari's menus and of its command palette that are no widgets."""
+"""Entries of napari's menus and of its command palette that are not widgets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def fit_widget(viewer: Viewer) -> Any:
 
 
 def _command(press: Callable[[Any], None]) -> Callable[[Viewer], None]:
-    """What napari calls with a viewer: presses something in the widget."""
+    """A function that napari calls with a viewer, and that presses something in the widget."""
 
     def command(viewer: Viewer) -> None:
         press(fit_widget(viewer))

@@ -1,4 +1,4 @@
-"""What fits of one image have reached, and what there is of it to change."""
+"""What fits of one image have reached, and what of it can be changed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _KEPT = 5  # results that undo may lead back to; chosen: each holds images
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """What a fit ended with, see ``Record``."""
+    """The end of a fit, see ``Record``."""
 
     state: FitState
     job: FitInput
@@ -63,12 +63,12 @@ class Record:
 
     @property
     def state(self) -> FitState | None:
-        """Of the result; None before there is one."""
+        """The state of the result; None before there is one."""
         return None if self.reached is None else self.reached.state
 
     @property
     def job(self) -> FitInput | None:
-        """That led to it."""
+        """The job that led to the result; None before there is one."""
         return None if self.reached is None else self.reached.job
 
     @property
@@ -78,17 +78,17 @@ class Record:
 
     @property
     def by_hand(self) -> bool:
-        """Whether the result is no longer that of a fit."""
+        """Whether the result was changed by hand after the fit."""
         return self.state is not None and is_by_hand(self.state)
 
     def of_fit(self) -> tuple[FitState, FitInput]:
-        """State and job of the result. InputError where there is none."""
+        """State and job of the result. InputError if there is none."""
         if self.reached is None:
             raise InputError("there is no result yet: run a fit first")
         return self.reached.state, self.reached.job
 
     def begin(self, fresh: bool) -> None:
-        """A fit has begun; whether it has a mesh of its own."""
+        """A fit has begun; fresh : whether from new seeds, rather than from the result."""
         self.words, self.judged = ("", ""), None
         if fresh:
             self.timeline = Timeline()
@@ -102,7 +102,7 @@ class Record:
         self.forget()
 
     def forget(self) -> None:
-        """No undo leads back to what there was before."""
+        """Forget what undo and redo would lead back to."""
         self.fitted.clear()
         self.done, self.undone = [], []
 
@@ -110,19 +110,19 @@ class Record:
         self.words = verdict, text
 
     def show(self, state: FitState, note: str = "", *, passing: bool = False) -> None:
-        """The fit has come to a state, by what the user changed where there is a note."""
+        """Show a state of the fit; note : what the user changed to get there."""
         self.timeline.add(state, note)
         self.link.show_mesh(state.mesh, passing=passing)
 
     def take(self, state: FitState, job: FitInput, history: History, seconds: float) -> None:
-        """Take a state for the result; of how good it is, nothing is known yet."""
+        """Take a state as the result, of which the quality is not known yet."""
         self.reached = Fitted(state, job, history, seconds, self.words)
         self.rows, self.judged = measure_cells(state.mesh), None
         if not self.by_hand:
             self.fitted.append(self.reached)
 
     def take_changed(self, state: FitState, note: str) -> None:
-        """Take a state that was changed by hand, or that of a fit where undo leads back to it."""
+        """Take a state that was changed by hand, or the end of a fit if undo leads back to it."""
         before, again = self.reached, [one for one in self.fitted if is_again(state, one.state)]
         if again:
             before = again[-1]
@@ -141,7 +141,7 @@ class Record:
             self.reached = replace(self.reached, state=state)
 
     def judge(self, judged: Judged) -> None:
-        """Take over how good the result is, and what that says of each cell."""
+        """Take over the verdict on the result, with the grades of each cell."""
         self.judged = judged
         rows = [{**row, **judged.cells.get(int(row["region"]), {})} for row in self.rows]
         if self.link.frame.box is not None:  # the image that was fitted is a region of the user's

@@ -1,4 +1,4 @@
-"""The small widgets of napari's menus: cells are simulated, and surfaces measured."""
+"""The small widgets in napari's menus, which simulate cells and measure surfaces."""
 
 # No annotations as strings here: magicgui makes the fields of them.
 
@@ -45,10 +45,10 @@ def measure_surface(
     surface
         Meshes of a fit, or of a mesh file.
     image
-        That they were fitted to: tells which cells its border cuts; cells then become a Labels
-        layer on its voxels, with the measurements as features.
+        Image that they were fitted to: tells which cells its border cuts; cells then become a
+        Labels layer on its voxels, with the measurements as features.
     folder
-        For tables, meshes and labels; a new one, or one without measurements.
+        Folder for tables, meshes and labels; a new one, or one without measurements.
     """
     if surface is None:
         raise InputError("there is no Surface layer to measure")
@@ -74,7 +74,7 @@ def measure_surface(
 
 
 def _in_thread(work: Callable[[], list[Any]]) -> Any:
-    """Start a function; where it fails the user reads why."""
+    """Run a function in a thread; if it fails, the user reads why."""
     return create_worker(work, _start_thread=True, _connect={"errored": _tell})
 
 
@@ -83,7 +83,7 @@ def _tell(error: Exception) -> None:
 
 
 def _press_in_words(widget: Any) -> None:
-    """A mistake is told in a sentence: magicgui's button would show where in the code it arose.
+    """Show errors as a sentence; magicgui's button would show a traceback.
 
     It stands below the button until something is changed: napari's own message soon goes.
     """
@@ -113,7 +113,7 @@ Lengths = tuple[float, float, float]
 
 
 def _said(name: str, **more: Any) -> dict[str, Any]:
-    """How a number of an objective is shown, as its settings say it."""
+    """Options to show a number of an objective, from the description of its setting."""
     found = described(MicroscopeOptics)[name]
     shown = {"label": for_window(found.label), "tooltip": found.sentence, **more}
     return {**shown, "step": found.step} if found.kind == "number" else shown
@@ -150,27 +150,27 @@ def simulate_cells(
     Parameters
     ----------
     cells
-        How many.
+        Number of cells.
     kind
-        A foam shares walls, vesicles keep apart.
+        Cells of a foam share walls; vesicles lie apart.
     shape
-        Voxels, Z Y X.
+        Size of the image in voxels, Z Y X.
     voxel_size
-        um, Z Y X.
+        Size of a voxel, um, Z Y X.
     psf
-        A Gaussian, or that of a microscope.
+        A Gaussian, or the PSF of a microscope.
     sigma
         Standard deviations of a Gaussian PSF, um, Z Y X.
     interior
         Light inside cells: fluorophores per um^3, for one per um^2 of membrane.
     effects
-        As attenuation=0.02,halo=0.1,camera:gain=2:offset=100.
+        Effects with their numbers, such as attenuation=0.02,halo=0.1,camera:gain=2:offset=100.
     photons
-        In the brightest voxel, on top of the background.
+        Photons in the brightest voxel, on top of the background.
     background
-        Photons in every voxel.
+        Photons of the background in every voxel.
     seed
-        Of cells and noise; the same one gives the same image.
+        Random seed of cells and noise; the same seed gives the same image.
     """
     grid = Grid(shape, voxel_size)
     chosen = Effects.from_text(effects)
@@ -190,7 +190,7 @@ def simulate_cells(
 
 
 def _tend(widget: Any) -> None:
-    """Only the fields of the kind of PSF chosen are there; mistakes are told in a sentence."""
+    """Show only the fields of the chosen kind of PSF, and errors as a sentence."""
 
     def show(psf: str) -> None:
         widget.sigma.visible = psf == "Gaussian"
@@ -206,7 +206,7 @@ simulate_widget = magic_factory(simulate_cells, widget_init=_tend, call_button="
 
 
 def layers_of(made: Simulation, name: str) -> list[Any]:
-    """The image, the true surfaces and the true labels as layers."""
+    """The simulated image, true surfaces and true labels as layers."""
     um: dict[str, Any] = {"units": ("um",) * 3, "axis_labels": ("z", "y", "x")}
     voxels = {**um, "scale": made.grid.voxel_size, "translate": made.grid.origin}
     layers: list[Any] = [(made.image, {**voxels, "name": name}, "image")]

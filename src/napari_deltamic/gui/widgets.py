@@ -83,7 +83,7 @@ class LayerChooser(QComboBox):
 
 
 def be_narrow(box: QComboBox, characters: int = 12) -> None:
-    """Long names must not widen a narrow dock."""
+    """Limit the width of a box, so that long names do not widen a narrow dock."""
     box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     box.setMinimumContentsLength(characters)
     box.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -92,7 +92,7 @@ def be_narrow(box: QComboBox, characters: int = 12) -> None:
 def narrow_box(
     parent: QWidget, name: str, tip: str, items: Iterable[str] = (), characters: int = 12
 ) -> QComboBox:
-    """A box that long names do not widen."""
+    """A combo box that long names do not widen."""
     box = QComboBox(parent)
     box.setAccessibleName(name)
     box.setToolTip(as_tip(tip))
@@ -155,11 +155,11 @@ class TaskButton(QPushButton):
 
     @property
     def stale(self) -> bool:
-        """Whether the last task was about something else."""
+        """Whether the last task was about something other than what is chosen now."""
         return self._of != self._about()
 
     def start(self) -> None:
-        """Start a task, if nothing runs that does not give way."""
+        """Start a task, unless one runs that does not give way."""
         try:
             task, of = self._make(), self._about()
             self._work.start(task)
@@ -182,7 +182,7 @@ class TaskButton(QPushButton):
 
 
 def confirmed(parent: QWidget, title: str, text: str, yes: str, no: str) -> bool:
-    """Whether the user wants something that cannot be taken back; Escape does not want it.
+    """Ask whether the user wants something that cannot be undone; Escape means no.
 
     yes, no : what is on the buttons.
     """
@@ -196,14 +196,14 @@ def confirmed(parent: QWidget, title: str, text: str, yes: str, no: str) -> bool
 
 
 def small(made: QPushButton) -> QPushButton:
-    """A button as wide as the sign on it."""
+    """The button itself, made as narrow as the sign on it."""
     made.setFixedWidth(30)
     made.setStyleSheet("padding: 2px; font-size: 15px;")
     return made
 
 
 def filled(layout: Any, *parts: Any) -> Any:
-    """A layout with widgets and layouts in it; with a number, one is stretched."""
+    """The layout, filled with widgets and layouts; a number with one is its stretch."""
     for part in parts:
         part, stretch = part if isinstance(part, tuple) else (part, 0)
         add = layout.addLayout if isinstance(part, QLayout) else layout.addWidget
@@ -212,12 +212,12 @@ def filled(layout: Any, *parts: Any) -> Any:
 
 
 def row(*parts: Any, of: QWidget | None = None, spacing: int | None = None) -> QHBoxLayout:
-    """Side by side, without a margin; of a widget, all that it shows."""
+    """A layout side by side without a margin; of : widget whose whole content it becomes."""
     return _bare(QHBoxLayout(of), parts, spacing)
 
 
 def column(*parts: Any, of: QWidget | None = None, spacing: int | None = None) -> QVBoxLayout:
-    """The same, one under the other."""
+    """The same, one below the other."""
     return _bare(QVBoxLayout(of), parts, spacing)
 
 
@@ -229,7 +229,7 @@ def _bare(layout: Any, parts: Sequence[Any], spacing: int | None) -> Any:
 
 
 def is_dark(widget: QWidget) -> bool:
-    """Whether the ground of a widget is dark, as the theme has it."""
+    """Whether the background of a widget is dark in the present theme."""
     return widget.palette().color(QtGui.QPalette.ColorRole.Window).lightness() < 128
 
 
@@ -254,7 +254,7 @@ def be_table_of_rows(table: QTableWidget, titles: Iterable[tuple[str, str]], nar
 
 
 def be_as_high_as_rows(view: QAbstractItemView) -> None:
-    """All rows are seen, so that the column scrolls and not what lies in it."""
+    """Make all rows visible, so that the column scrolls and not the view."""
     view.setSizeAdjustPolicy(QAbstractItemView.SizeAdjustPolicy.AdjustToContents)
     view.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 
@@ -289,7 +289,7 @@ class Note(QLabel):
             self.setVisible(bool(shown))
 
     def changeEvent(self, event: QtCore.QEvent | None) -> None:
-        """Qt's: the theme may be another."""
+        """Called by Qt: the theme may have changed."""
         super().changeEvent(event)
         if event is not None and event.type() == QtCore.QEvent.Type.StyleChange:
             self._colour()
@@ -348,7 +348,7 @@ class ToolBar(QWidget):
             self.tool_chosen.emit(tool)
 
     def explain(self) -> None:
-        """What the tool in use does."""
+        """Show what the tool in use does."""
         tool, ndisplay = self.tool, self._doc.viewer.dims.ndisplay
         more = f"{self._tools[tool][1]} {self._more(tool, ndisplay)}" if tool else ""
         self.hint.say(more.strip())
@@ -358,7 +358,7 @@ class ToolBar(QWidget):
         self.use(tool if checked else None)
 
     def _other_tool(self, tool: object) -> None:
-        """The mouse is wanted by another one."""
+        """Put the tool away if another tool bar uses the mouse."""
         if tool is not self:
             self.use(None)
 

@@ -1,4 +1,4 @@
-"""What the user reads in the window: of errors, and of what is written for the command line."""
+"""Texts for the window: errors, and texts written for the command line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PLACES = {
 
 
 def for_window(text: str) -> str:
-    """A text as the window says it: with the names of its fields for flags in brackets, and µm."""
+    """A text for the window: with field names instead of flags in brackets, and with µm."""
     shown = re.sub(r" \(try (--[a-z-]+) (\w+)\)", _tried, text)
     shown = re.sub(r" \((--[^)]*)\)", _placed, shown)
     shown = shown.replace("give it a radius", "set 'start from' to 'a sphere'")
@@ -39,7 +39,7 @@ def as_tip(text: str) -> str:
 
 
 def words_of(error: Exception, shape: Sequence[int] | None = None) -> str:
-    """What the user reads of an error, in one line; the log has the traceback of what is a bug.
+    """An error in one line for the user; the traceback of a bug goes to the log.
 
     shape : of the image, which tells how much memory is needed.
     """
@@ -52,7 +52,7 @@ def words_of(error: Exception, shape: Sequence[int] | None = None) -> str:
 
 
 def attempt(action: Callable[[], None], warn: Callable[[str], None]) -> None:
-    """Run something that may fail; the user reads why, without a traceback."""
+    """Run an action that may fail; the user reads why, without a traceback."""
     try:
         action()
     except Exception as error:  # a bug is no reason to frighten a user or to lose the fit
@@ -60,7 +60,7 @@ def attempt(action: Callable[[], None], warn: Callable[[str], None]) -> None:
 
 
 def _tried(asked: re.Match[str]) -> str:
-    """A flag with a value: the field, and what is to be chosen there."""
+    """For a flag with a value: the field, and what to choose there; '' if there is none."""
     place = _PLACES.get(asked[1])
     return f" (try {asked[2]} for '{place}')" if place else ""
 

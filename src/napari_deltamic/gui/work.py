@@ -36,7 +36,7 @@ _THREADS = ThreadPoolExecutor(32, "deltaMic")
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a fit or tracking ended, in plain words too.
+    """How a fit or tracking ended, also in plain words.
 
     message : its first line is the verdict; each of those after it is a remark.
     """
@@ -46,7 +46,7 @@ class Outcome:
 
 
 class Task:
-    """Something long. Its thread runs ``steps``; all else belongs to the main thread.
+    """A long task. Its thread runs ``steps``; all else belongs to the main thread.
 
     Attributes
     ----------
@@ -70,21 +70,21 @@ class Task:
         self.remarks: deque[Warning] = deque()  # for users
 
     def steps(self) -> Generator[None, None, Any]:
-        """What the thread runs: it can be stopped where it yields, and returns the outcome."""
+        """Run in the thread; it can be stopped where it yields, and returns the outcome."""
         raise NotImplementedError
 
     def failed(self, error: Exception) -> Any:
-        """The outcome where the thread, or showing what it brought, raised."""
+        """The outcome if the thread, or showing its results, raised an error."""
         return words_of(error)
 
     def look(self) -> None:
         """Show what there is."""
 
     def end(self, outcome: Any) -> None:
-        """It has ended: with what ``steps`` returned, or None where it was stopped."""
+        """Take the outcome: what ``steps`` returned, or None if it was stopped."""
 
     def stop(self) -> None:
-        """End it where it next yields."""
+        """Stop it where it next yields."""
         self.stopping = True
 
     def step(self, text: str) -> None:
@@ -97,7 +97,7 @@ class Task:
         self.stage = text or self.stage
 
     def close(self) -> None:
-        """End it and tell nobody; its thread may go on for a while, and holds no widget then."""
+        """End it without callbacks; its thread may run on for a while, but holds no widget."""
         self.stop()
         self.running = False
         for name in [name for name in vars(self) if name.startswith("_on_")]:
@@ -105,7 +105,7 @@ class Task:
 
 
 class Question(Task):
-    """A task of one generator function, which ends where another task is to start.
+    """A task made from one generator function; it ends when another task starts.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Work(QObject):
 
     @property
     def occupied(self) -> str:
-        """What runs, and what to do so that something else can; '' for nothing."""
+        """A text on what runs and must be stopped first; '' if another task can start."""
         task = self.task
         if task is None or task.gives_way:
             return ""
@@ -198,11 +198,11 @@ class Work(QObject):
             self.task.paused = paused
 
     def look_at_most(self, often: float) -> None:
-        """So many times a second."""
+        """Set how often per second the main thread looks, at most."""
         self.interval = 1 / often
 
     def close(self) -> None:
-        """End the task, and tell nobody."""
+        """End the task, without callbacks."""
         with suppress(RuntimeError):  # the application may have ended before
             self._timer.stop()
         task, self.task = self.task, None
@@ -266,17 +266,17 @@ def one_shot(parent: QObject, slot: Callable[[], None], wait: int = 0) -> QTimer
 
 
 def _nobody(*news: Any) -> None:
-    """Called in the place of those that are gone."""
+    """Called instead of callbacks of a closed task."""
 
 
 def rest_after(drawing: float) -> float:
-    """s that a viewer is left alone that took so long (s) to draw."""
+    """Pause (s) for a viewer that took ``drawing`` (s) to draw."""
     # Ten updates a second come first, as long as the task gets a quarter of the cores.
     return min(2 * drawing, max(0.1 - drawing, 0.3 * drawing), LONGEST_REST)
 
 
 def _run(task: Task) -> None:
-    """What the thread of a task does."""
+    """Run a task; what its thread does."""
     steps, outcome = task.steps(), None
 
     def show(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -328,7 +328,7 @@ class Background(QObject):
         return any(one is not None for one in (self._then, self._next, self._soon))
 
     def soon(self, ask: Callable[[], None], wait: int) -> None:
-        """Call, on the main thread, what may ask; unless this is called again within ``wait`` ms.
+        """Call ``ask`` on the main thread, unless this is called again within ``wait`` ms.
 
         It comes in the place of what is awaited.
         """
@@ -347,11 +347,11 @@ class Background(QObject):
             self._look()
 
     def drop(self) -> None:
-        """No result is wanted any more."""
+        """Drop what is under way: its result is no longer wanted."""
         self._then = self._next = self._soon = None
 
     def close(self) -> None:
-        """Call nobody any more."""
+        """Make no further calls."""
         self.drop()
         with suppress(RuntimeError):  # the application may have ended before
             self._timer.stop()
@@ -364,7 +364,7 @@ class Background(QObject):
             ask()
 
     def _look(self) -> None:
-        """Tell what a function that has ended returned, and start the one asked for last."""
+        """Hand over the result of a function that has ended, and start the last one asked for."""
         call = self._call
         if call is not None and not call.done():
             return

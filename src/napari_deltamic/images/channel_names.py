@@ -1,4 +1,4 @@
-"""The names of channels that files tell: OME, ImageJ, colours, OME-Zarr."""
+"""Channel names as image files give them: OME, ImageJ, colours, OME-Zarr."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from xml.etree import ElementTree
 import tifffile
 
 _COLOURS = ("red", "green", "blue", "alpha")
-_LONGEST = 40  # letters of a name; more is a header that some program kept in its place
+_LONGEST = 40  # letters of a name; more is a header that some program stored in its place
 # What Bio-Formats and Fiji put before the name in the label of a plane.
 _PLACE = re.compile(r"^(?:[czt]:\d+/\d+\s*)+(?:-\s*)?")
 
 
 def tiff_channel_names(tif: tifffile.TiffFile) -> tuple[str, ...]:
-    """A name for each channel of the first series; () where the file tells none."""
+    """A name for each channel of the first series; () where the file gives none."""
     series = tif.series[0]
     counts = dict(zip(series.axes, series.shape, strict=False))
     colours = counts.get("S", 1)
@@ -28,7 +28,7 @@ def tiff_channel_names(tif: tifffile.TiffFile) -> tuple[str, ...]:
 
 
 def zarr_channel_names(facts: Mapping[str, Any]) -> tuple[str, ...]:
-    """The labels of channels in the attributes of an OME-Zarr image."""
+    """The channel labels in the attributes of an OME-Zarr image; () where there are none."""
     omero = facts.get("omero")
     channels = omero.get("channels") if isinstance(omero, Mapping) else None
     if not isinstance(channels, list):
@@ -38,7 +38,7 @@ def zarr_channel_names(facts: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def known_names(names: Iterable[str], count: int) -> tuple[str, ...]:
-    """Names in one short line each; () unless there is one for each channel, and some say much."""
+    """Names, each in one short line; () unless there is one per channel, and not all are empty."""
     plain = tuple(" ".join(name.split())[:_LONGEST] for name in names)
     return plain if len(plain) == count and any(plain) else ()
 
@@ -54,7 +54,7 @@ def _ome_names(tif: tifffile.TiffFile) -> tuple[str, ...]:
 
 
 def _imagej_names(tif: tifffile.TiffFile, count: int) -> tuple[str, ...]:
-    """Labels of the first planes, where those of the next slice are the same: no slice's own."""
+    """Labels of the first slice's planes; () unless the next slice repeats them."""
     labels = (tif.imagej_metadata or {}).get("Labels")
     if not isinstance(labels, list) or len(labels) < count:
         return ()

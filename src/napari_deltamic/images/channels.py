@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .stored import Index, Stored
 
-_MOST_SHOWN = 8  # channels whose names a message tells; a spectrum has dozens
+_MOST_SHOWN = 8  # channels that a message names; a spectral image has dozens
 _STACK = 3  # axes of a stack
-_NAMED = set("TCZYXS")  # axes of which it is known what they are
+_NAMED = set("TCZYXS")  # axes whose meaning is known
 
 
 def channel_axis(stored: Stored) -> int | None:
-    """Along which axis channels, or colours, lie; None where there are not several of them."""
+    """Number of the axis of channels, or colours; None unless there are several of them."""
     for letter in "CS":
         axis = stored.axes.find(letter)
         if axis >= 0 and stored.shape[axis] > 1:
@@ -26,18 +26,19 @@ def channel_axis(stored: Stored) -> int | None:
 
 
 def one_channel(stored: Stored, channel: str | None, flag: str = "") -> Stored:
-    """The same image with one of its channels alone.
+    """The image reduced to one of its channels.
 
     Parameters
     ----------
     stored : an image that was opened.
     channel : its number, from 1, or its name; None where there is only one.
-    flag : by which a user says which one; "" where none can be said.
+    flag : the flag with which a user chooses a channel, for messages; "" where there is none.
 
     Raises
     ------
     InputError
-        Several channels of which none is chosen, no such channel, or none that is known as such.
+        If there are several channels and none is chosen, no such channel, or no axis known to hold
+        channels.
     """
     axis = channel_axis(stored)
     if axis is None:
@@ -53,7 +54,7 @@ def one_channel(stored: Stored, channel: str | None, flag: str = "") -> Stored:
 
 
 def _at(stored: Stored, axis: int, number: int) -> Stored:
-    """What is stored at a place along an axis."""
+    """The image at one place along an axis, without that axis."""
 
     def read(index: Index) -> NDArray[np.generic]:
         return stored.read((*index[:axis], number, *index[axis:]))
@@ -64,7 +65,7 @@ def _at(stored: Stored, axis: int, number: int) -> Stored:
 
 
 def _check_only(stored: Stored, channel: str | None, flag: str) -> None:
-    """InputError for a channel asked for that is not the only one."""
+    """Raise InputError if a channel is asked for that is not the only one."""
     if channel is None:
         return
     unnamed = not stored.axes or set(stored.axes) - _NAMED
@@ -103,7 +104,7 @@ def _chosen(stored: Stored, axis: int, channel: str | None, flag: str) -> int:
 
 
 def _found(channel: str, names: Sequence[str], count: int) -> list[int]:
-    """Where a channel is: a number prevails, then just this name, then one in other letters."""
+    """Indices of matching channels: by number first, then exact name, then ignoring case."""
     if channel.isdecimal() and 1 <= int(channel) <= count:
         return [int(channel) - 1]
     just = [k for k, name in enumerate(names) if name == channel]

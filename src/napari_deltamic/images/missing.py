@@ -1,4 +1,4 @@
-"""Missing voxels, for methods that need a value everywhere."""
+"""Missing voxels, and filling them for methods that need a value everywhere."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 
 def unmasked(image: Any, instead: float = np.nan) -> Any:
-    """An array without a mask: what NumPy's mask hides becomes NaN, or another value.
+    """An array without a mask: values that NumPy's mask hides become NaN, or ``instead``.
 
-    Anything but a masked array is given back as it is.
+    Anything but a masked array is returned as it is.
     """
     if not isinstance(image, np.ma.MaskedArray):
         return image
@@ -22,16 +22,16 @@ def unmasked(image: Any, instead: float = np.nan) -> Any:
 
 
 def finite_or_nan(image: NDArray[Any]) -> NDArray[Any]:
-    """An image with NaN for whatever is not finite; the image itself where all is."""
+    """An image with NaN for whatever is not finite; the image itself if all of it is finite."""
     if not np.issubdtype(image.dtype, np.floating) or np.isfinite(image).all():
         return image
     return np.where(np.isfinite(image), image, np.nan)
 
 
 def filled(image: NDArray[Any], voxel_size: Sequence[float] | None = None) -> NDArray[Any]:
-    """Missing voxels (not finite) take the value of the nearest known one; (Z, Y, X).
+    """A (Z, Y, X) image with missing voxels (not finite) filled from the nearest known voxel.
 
-    Nearest in um if the voxel size (um, Z, Y, X) is given, else in voxels. The image itself where
+    Nearest in um if the voxel size (um, Z, Y, X) is given, else in voxels. The image itself if
     nothing is missing.
     """
     missing = ~np.isfinite(image)

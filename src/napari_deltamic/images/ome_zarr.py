@@ -1,6 +1,6 @@
 """OME-Zarr (OME-NGFF 0.4 and 0.5): folders of chunks, read lazily.
 
-The format: https://ngff.openmicroscopy.org. Needs the package zarr, and says so where it is not.
+The format: https://ngff.openmicroscopy.org. Needs the package zarr, and says so if it is missing.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from ..errors import InputError
 from .channel_names import known_names, zarr_channel_names
 from .units import unit_um
 
-_CHUNK = 64  # voxels along each axis: 1 MB of float32, so that viewers read one in one go
+_CHUNK = 64  # voxels along each axis: 1 MB of float32, which viewers read in one go
 
 
 @dataclass(frozen=True, eq=False)
 class ZarrImage:
-    """The finest resolution of an image; pixels are read where it is sliced.
+    """The finest resolution of an image; slicing it reads only those pixels.
 
     array : as stored; slicing it gives a numpy array.
     axes : a letter for each, such as "TCZYX".
-    voxel_size : um, Z Y X; None where it is not told.
-    channels : their names; () where they are not told.
+    voxel_size : um, Z Y X; None where the file does not give it.
+    channels : their names; () where the file does not give them.
     """
 
     array: Any
@@ -46,7 +46,7 @@ def open_zarr(path: str | os.PathLike[str]) -> ZarrImage:
     Raises
     ------
     InputError
-        If zarr is not installed, or the folder is no OME-Zarr image.
+        If zarr is not installed, or the folder is not an OME-Zarr image.
     """
     zarr = _zarr()
     with _quietly():
@@ -61,7 +61,7 @@ def open_zarr(path: str | os.PathLike[str]) -> ZarrImage:
             ) from None
         told = _told(group)
         if "bioformats2raw.layout" in told and "multiscales" not in told and "0" in group:
-            group = group["0"]  # the first of the images that this program put into one folder
+            group = group["0"]  # the first of the images that bioformats2raw put into one folder
             told = _told(group)
         facts = _first_image(told)
         dataset = facts["datasets"][0]
@@ -82,8 +82,8 @@ def write_zarr(
 ) -> None:
     """Write a (Z, Y, X) image, or labels if its values are whole numbers of 16 or 32 bits.
 
-    One resolution, OME-NGFF 0.4. The folder appears whole or not at all; an older one of the name
-    is replaced. origin : um, Z Y X, of the centre of the first voxel.
+    One resolution, OME-NGFF 0.4. The folder appears whole or not at all; an older one of that name
+    is replaced. origin : centre of the first voxel, um, Z Y X.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _zarr() -> Any:
 
 @contextmanager
 def _quietly() -> Iterator[None]:
-    """Without warnings of zarr, on what it makes of names and versions."""
+    """Silence warnings within the block, such as zarr's on names and versions."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
@@ -147,14 +147,14 @@ def _first_image(facts: Any) -> Mapping[str, Any]:
 
 
 def _axis_name(axis: Any) -> str:
-    # Up to version 0.3 axes were mere names.
+    # Up to version 0.3 axes were just names.
     return str(axis["name"] if isinstance(axis, Mapping) else axis)[:1]
 
 
 def _voxel_size(
     facts: Mapping[str, Any], dataset: Mapping[str, Any]
 ) -> tuple[float, float, float] | None:
-    """um, from the scale of the finest resolution times that of all, and the units of the axes."""
+    """Voxel size (um, Z Y X): scale of the finest resolution times that of all, in axis units."""
     axes = [a for a in facts.get("axes", ()) if isinstance(a, Mapping)]
     scale = np.ones(len(axes))
     told = False

@@ -1,9 +1,9 @@
-"""Voxels that nobody measured: what fusing, turning and shearing put around an image.
+"""Padding: voxels never measured, which fusing, rotating and deskewing put around an image.
 
-They all have one value, often 0, and next to them, or a voxel or two further where the image was
-interpolated, begins an image that never comes near it. A dark background that was cut off at 0 has
-that value too, but between it and the light lies every value in between, and single voxels of it
-lie among others.
+They all have one value, often 0. Next to them, or a voxel or two further where the image was
+interpolated, begins an image whose values never come near it. A dark background cut off at 0 also
+has one value, but there every value between it and the bright parts occurs as well, and single
+voxels of it lie among others.
 """
 
 from __future__ import annotations
@@ -26,22 +26,24 @@ class PaddingRules:
     Attributes
     ----------
     gap
-        Of what the image beside it differs from it by in the median: so much at least 95 % of that
-        must differ. Measured: 0.92 to 0.99 beside a camera's offset of 100, at most 0.2 where a
-        background was cut off at 0 (deconvolved, subtracted or stretched images, labels); five
-        photons give 0.4.
+        Share of the median difference between padding and the image beside it by which at least
+        95 % of the voxels beside it must differ. Measured: 0.92 to 0.99 beside a camera's offset of
+        100, at most 0.2 where a background was cut off at 0 (deconvolved, subtracted or stretched
+        images, labels); five photons give 0.4.
     level
-        That median, of the one two voxels further, or the other way round: beside padding the image
-        is what it is everywhere, beside a background of 0 it is still rising. Chosen, not measured.
+        Least ratio of that median to the one two voxels further out, or the other way round: beside
+        padding the image is as bright as elsewhere, beside a background of 0 it is still rising.
+        Chosen, not measured.
     same
         Share of the voxels beside it that may have its value. Measured: 0, and 0.07 to 0.08 in dim
         images that a median filter has left flat.
     steps
-        Between values of the image: what is nearer is rounding. Chosen, not measured.
+        Least difference, in steps between values of the image: less is rounding. Chosen, not
+        measured.
     fewest
-        Voxels beside it: of fewer, a share of 95 % is no more than a guess.
+        Voxels needed beside it: with fewer, a share of 95 % is no more than a guess.
     smeared
-        Voxels beside it, at most, that interpolation has mixed with it: cubic splines reach as far.
+        Most voxels beside it that interpolation has mixed with it: cubic splines reach this far.
     """
 
     gap: float = 0.35
@@ -54,12 +56,12 @@ class PaddingRules:
 
 RULES = PaddingRules()
 _BLOCK = np.ones((3, 3, 3), bool)
-_SOME = 8  # voxels; chosen, it decides nothing
-_CORNERS = 2  # voxels by which blocks fall short of a slanted edge: by definition of three
+_SOME = 8  # voxels between those looked at first; chosen, it decides nothing
+_CORNERS = 2  # voxels by which blocks 3 wide fall short of a slanted edge: by definition
 
 
 def without_padding(image: NDArray[Any]) -> tuple[NDArray[Any], str]:
-    """An image with NaN where it is padded, and a sentence on that; itself and "" where it is not.
+    """The image with NaN where it is padded, and a sentence on that; the image and "" if it is not.
 
     Parameters
     ----------
@@ -75,7 +77,7 @@ def without_padding(image: NDArray[Any]) -> tuple[NDArray[Any], str]:
 
 
 def padding(image: NDArray[Any]) -> Mask | None:
-    """(Z, Y, X) voxels at the border that all have one value, and whole slices that do.
+    """(Z, Y, X) mask of padding: voxels at the border that share one value, or whole slices.
 
     None where nothing of the image looks like padding.
     """
@@ -92,8 +94,8 @@ def _faces(image: NDArray[Any]) -> list[NDArray[Any]]:
 
 
 def _values_of_border(image: NDArray[Any]) -> list[Any]:
-    """The least and the most frequent one, where a block of three by three voxels at the border has
-    it: in most images none does."""
+    """The least and the most frequent value of the border, if three by three voxels there have it:
+    in most images none does."""
     sides = [side[np.isfinite(side)] for side in _faces(image)]
     values, counts = np.unique(np.concatenate(sides), return_counts=True)
     if not len(values):
@@ -107,15 +109,15 @@ def _solid(image: NDArray[Any], value: Any) -> bool:
 
 
 def _values_of_slices(image: NDArray[Any]) -> list[Any]:
-    """Values of slices along Z that have a single one."""
-    few = image[:, ::_SOME, ::_SOME]  # they rule most out
+    """Values of those slices along Z that have only one value."""
+    few = image[:, ::_SOME, ::_SOME]  # a few voxels rule most slices out
     flat = (few == few[:, :1, :1]).all((1, 2))
     found = [k for k in np.flatnonzero(flat) if (image[k] == image[k, 0, 0]).all()]
     return [image[k, 0, 0] for k in found]
 
 
 def _around(image: NDArray[Any], value: Any) -> Mask | None:
-    """Padding of a value, with what it has smeared; None where there is none."""
+    """Mask of padding of this value, with voxels smeared by it; None where there is none."""
     equal = image == value
     region = _from_border(equal)
     region[equal.all((1, 2))] = True
@@ -132,7 +134,7 @@ def _around(image: NDArray[Any], value: Any) -> Mask | None:
 
 
 def _from_border(equal: Mask) -> Mask:
-    """Blocks of voxels that reach the border, which counts as more of them."""
+    """Mask of connected blocks of 3^3 voxels that reach the border; beyond it counts as equal."""
     core = ndimage.binary_erosion(equal, _BLOCK, border_value=1)
     solid = ndimage.binary_dilation(core, _BLOCK) & equal
     parts = ndimage.label(solid)[0]

@@ -1,4 +1,4 @@
-"""Series of stacks over time, read one at a time: a file with a time axis, or a file a frame."""
+"""Series of stacks over time, read one at a time: a file with a time axis, or a file per frame."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _LETTERS = re.compile(r"(\d+)")
 
 
 class ImageSeries:
-    """The frames of a series, each (Z, Y, X) as it is in its file; only the one asked for is read.
+    """The frames of a series, each (Z, Y, X) as in its file; only the one asked for is read.
 
     Attributes
     ----------
-    shape : (T, Z, Y, X); of the first frame, where each has a file of its own.
-    voxel_size : um, Z Y X, as the files say; None where they do not.
-    names : of the frames, for messages.
+    shape : (T, Z, Y, X); that of the first frame, where each has a file of its own.
+    voxel_size : um, Z Y X, as the files give it; None where they do not.
+    names : a name for each frame, for messages.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class ImageSeries:
         return self.shape[0]
 
     def __getitem__(self, frame: int) -> NDArray[Any]:
-        """One frame. InputError where its file cannot be read."""
+        """One frame, (Z, Y, X). InputError if its file cannot be read."""
         return self._read(frame)
 
 
@@ -62,12 +62,12 @@ def open_series(
     channel : str, optional
         Its number, from 1, or its name, where there are several. Others are not read.
     flag : str
-        By which a user says the channel, for messages; "" where none can be said.
+        The flag with which a user chooses a channel, for messages; "" where there is none.
 
     Raises
     ------
     InputError
-        Naming the path and the reason: no such file, no image, a single 3D image, 2D frames,
+        Naming the path and the reason: no such file, not an image, a single 3D image, 2D frames,
         several channels of which none is chosen, or frames of different shapes.
     """
     text = os.fspath(path)
@@ -109,7 +109,7 @@ def _of_files(text: str, files: list[str], channel: str | None, flag: str) -> Im
 
 
 def _by_numbers(path: str) -> list[Any]:
-    """t2 before t10."""
+    """Key that sorts by the numbers in a name: t2 before t10."""
     parts = _LETTERS.split(Path(path).name)
     return [int(p) if p.isdigit() else p for p in parts]
 
@@ -136,7 +136,7 @@ def _native(stored: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check(stored: Stored) -> None:
-    """InputError for what is no series of 3D stacks."""
+    """Raise InputError for what is not a series of 3D stacks."""
     shape, axes, described = stored.shape, stored.axes, stored.described
     if len(shape) == 3:
         kind = "2D images over time" if axes.startswith("T") else "a single 3D image"

@@ -1,4 +1,4 @@
-"""Image files: stacks in, stacks out, with their voxel size."""
+"""Reading and writing stacks with their voxel size."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .missing import finite_or_nan, unmasked
 from .ome_zarr import write_zarr
 from .stored import Stored, VoxelSize, naming, open_stored
 
-SIZES_AGREE = 0.01  # relative: headers round voxel sizes, so that less is no other size
+SIZES_AGREE = 0.01  # relative: headers round voxel sizes, so less is not a different size
 _REFUSED = {
     "S": "several colours in each channel: save one as a grey image",
     "T": "several time points: save one, or call its planes slices (Z)",
@@ -41,19 +41,19 @@ def read_image(
     channel : str, optional
         Its number, from 1, or its name, where the file holds several. Others are not read.
     flag : str
-        By which a user says the channel, for messages; "" where none can be said.
+        The flag with which a user chooses a channel, for messages; "" where there is none.
 
     Returns
     -------
     image : (Z, Y, X) array of real numbers, as they are in the file (bool becomes uint8).
-    voxel_size : um, Z Y X, from the metadata of OME and ImageJ; None where all three sides in a
-        unit of length are not given, or are not plausible.
+    voxel_size : um, Z Y X, from OME or ImageJ metadata; None unless all three sides are given in a
+        unit of length and plausible.
 
     Raises
     ------
     InputError
         Naming the file and the reason: missing, unknown extension, empty, damaged, not 3D, several
-        channels of which none is chosen, several time points, complex or other values that are no
+        channels of which none is chosen, several time points, complex or other values that are not
         intensities.
     """
     with naming(path):
@@ -76,7 +76,7 @@ def read_voxel_size(
 
 
 def _stack(path: str | os.PathLike[str], channel: str | None, flag: str) -> Stored:
-    """What is in a file, before it is read. InputError where it is no stack of one channel."""
+    """A file, opened and reduced to one channel. InputError if it does not hold one stack."""
     stored = open_stored(path)
     _refuse_along(stored.shape, stored.axes, "T")
     stored = one_channel(stored, channel, flag)
@@ -92,22 +92,22 @@ def write_image(
 ) -> None:
     """Write a stack with its voxel size; the file appears whole or not at all.
 
-    A .tif is an ImageJ hyperstack where that can hold the values (uint8, uint16, float32), else an
-    OME-TIFF, as is a name that ends in .ome.tif. A .npy file holds no voxel size. A .zarr is an
-    OME-Zarr folder.
+    A .tif is written as an ImageJ hyperstack where that can hold the values (uint8, uint16,
+    float32), else as OME-TIFF; a name ending in .ome.tif always gives OME-TIFF. A .npy file holds
+    no voxel size. A .zarr is an OME-Zarr folder.
 
     Parameters
     ----------
     path : path
     image : (Z, Y, X) array of real numbers.
     voxel_size : um, Z Y X.
-    origin : um, Z Y X; where the centre of the first voxel lies. OME-TIFF and OME-Zarr say so.
+    origin : centre of the first voxel, um, Z Y X; only OME-TIFF and OME-Zarr keep it.
 
     Raises
     ------
     InputError
-        Unknown extension, not a 3D image of real numbers, a voxel size that is not positive, or
-        the file cannot be written.
+        If the extension is unknown, the image is not 3D or not of real numbers, the voxel size is
+        not positive, or the file cannot be written.
     """
     path = Path(path)
     array = _checked(np.asarray(unmasked(image)))
@@ -146,9 +146,9 @@ def write_image(
 def stored_shape(
     path: str | os.PathLike[str], channel: str | None = None
 ) -> tuple[int, ...] | None:
-    """(Z, Y, X) of the stack that :func:`read_image` would give, without reading it all.
+    """Shape (Z, Y, X) of the stack that :func:`read_image` would give, without reading the pixels.
 
-    (T, Z, Y, X) of a series; None where there is no file that could be read.
+    (T, Z, Y, X) for a series; None if the file cannot be read.
     """
     try:
         shape = one_channel(open_stored(path), channel).shape
@@ -160,7 +160,7 @@ def stored_shape(
 
 
 def holds_image(path: str | os.PathLike[str], image: ArrayLike, channel: str | None = None) -> bool:
-    """Whether a file holds just these values; missing ones are equal. Reads the whole image."""
+    """Whether a file holds exactly these values; missing ones count as equal. Reads all of it."""
     array = np.asarray(image)
     if stored_shape(path, channel) != array.shape:
         return False
@@ -178,7 +178,7 @@ def holds_image(path: str | os.PathLike[str], image: ArrayLike, channel: str | N
 
 
 def _places(count: int, step: float, origin: Sequence[float]) -> dict[str, list[Any]]:
-    """Where slices lie, um, as OME-TIFF says it."""
+    """OME-TIFF metadata on the positions (um) of slices."""
     z, y, x = origin
     along = {"Z": [z + k * step for k in range(count)], "Y": [y] * count, "X": [x] * count}
     units = {f"Position{name}Unit": ["µm"] * count for name in "ZYX"}
@@ -186,7 +186,7 @@ def _places(count: int, step: float, origin: Sequence[float]) -> dict[str, list[
 
 
 def _held_by_ome(array: NDArray[Any]) -> NDArray[Any]:
-    """The same values in a type that OME-TIFF has: whole numbers of 32 bits at most, no halves."""
+    """The array in a type that OME-TIFF has: integers of at most 32 bits, no float16."""
     if array.dtype == np.float16:
         return array.astype(np.float32)
     if array.dtype.kind not in "iu" or array.dtype.itemsize <= 4:
@@ -202,14 +202,14 @@ def _named_ome(path: Path) -> bool:
 
 
 def _without_pixels(stored: Stored) -> NDArray[Any]:
-    """Zeros of a shape that take no memory, and need no conversion in `_checked`."""
+    """An array of the stored shape that takes no memory and needs no conversion in `_checked`."""
     dtype = stored.dtype
     native = np.dtype(np.uint8) if dtype == np.bool_ else dtype.newbyteorder("=")
     return np.broadcast_to(np.zeros((), native), stored.shape)
 
 
 def _refuse_along(shape: Sequence[int], axes: str, names: str) -> None:
-    """InputError where there is more than one place along one of these axes."""
+    """Raise InputError if one of the named axes is longer than 1."""
     for name in names:
         if any(a == name and n > 1 for a, n in zip(axes, shape, strict=False)):
             described = f"shape {tuple(shape)}, axes {axes}"
@@ -217,7 +217,7 @@ def _refuse_along(shape: Sequence[int], axes: str, names: str) -> None:
 
 
 def _checked(array: NDArray[Any], axes: str = "") -> NDArray[Any]:
-    """The array as (Z, Y, X), in the byte order of this machine."""
+    """The array as (Z, Y, X) in native byte order; InputError if it is not a 3D image."""
     shape = tuple(int(n) for n in array.shape)
     if array.size == 0:
         raise InputError(f"the image is empty: its shape is {shape}")
@@ -227,7 +227,7 @@ def _checked(array: NDArray[Any], axes: str = "") -> NDArray[Any]:
         raise InputError(f"an image of real numbers is needed, not of {array.dtype}")
     described = f"shape {shape}" + (f", axes {axes}" if axes else "")
     _refuse_along(shape, axes, "TS")
-    # Axes of length 1 in front are no dimensions of the stack.
+    # Leading axes of length 1 are not dimensions of the stack.
     while array.ndim > 3 and 1 in array.shape[: array.ndim - 3]:
         array = np.squeeze(array, axis=array.shape.index(1))
     if array.ndim != 3:

@@ -1,4 +1,4 @@
-"""What image files hold, before their voxels are read: shape, axes, voxel size, channels."""
+"""Image files as opened, before voxels are read: shape, axes, voxel size, channels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .units import unit_um
 VoxelSize = tuple[float, float, float]
 Index = tuple[int | slice, ...]
 
-# A voxel side outside of this range (um) is no microscope's: the metadata is wrong.
+# No microscope has a voxel side outside of this range (um): the metadata is wrong.
 _PLAUSIBLE = (1e-4, 1e4)
 ALL = slice(None)
 
@@ -37,11 +37,11 @@ class Stored:
 
     shape, dtype : as stored.
     axes : a letter for each, such as "TCZYX"; "" where the file does not name them.
-    voxel_size : um, Z Y X, as the metadata says; None where all three sides in a unit of length
-        are not given, or are not plausible.
-    channels : their names; () where the file does not tell them.
-    read : the voxels at an index of all axes, a copy in memory.
-    in_parts : whether only what is asked for is read.
+    voxel_size : um, Z Y X, from the metadata; None unless all three sides are given in a unit of
+        length and plausible.
+    channels : their names; () where the file does not give them.
+    read : gives the voxels at an index of all axes, as a copy in memory.
+    in_parts : whether ``read`` reads only what is asked for.
     """
 
     shape: tuple[int, ...]
@@ -68,7 +68,8 @@ def open_stored(path: str | os.PathLike[str]) -> Stored:
     Raises
     ------
     InputError
-        Unknown extension, empty, no image, cut short; and whatever parsers raise: see ``naming``.
+        If the extension is unknown, or the file is empty, holds no image or is cut short. Parsers
+        raise other errors, too: see ``naming``.
     """
     path = Path(path)
     if path.suffix.lower() not in IMAGE_FILES:
@@ -83,7 +84,7 @@ def open_stored(path: str | os.PathLike[str]) -> Stored:
 
 @contextmanager
 def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Whatever goes wrong becomes an InputError that names the file."""
+    """Within the block, any error but MemoryError becomes an InputError that names the file."""
     try:
         yield
     except FileNotFoundError:
@@ -103,13 +104,13 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
 def _open_npy(path: Path) -> Stored:
     with quiet():
         try:
-            # Mapped: that checks the size before memory is asked for.
+            # Memory-mapped: that checks the size before memory is allocated.
             array = np.load(path, mmap_mode="r", allow_pickle=False)
         except ValueError as error:
             if "Python objects" not in str(error):
                 raise
             # Reading them would run whatever code the file holds.
-            text = "it holds Python objects, not an image; of Cellpose, save the masks as TIFF"
+            text = "it holds Python objects, not an image; in Cellpose, save the masks as TIFF"
             raise InputError(text) from None
     return Stored(
         tuple(array.shape), array.dtype, "", None, (), lambda index: np.array(array[index])
@@ -138,7 +139,7 @@ def _open_zarr(path: Path) -> Stored:
 
 
 def _in_order(axes: str, count: int) -> list[int]:
-    """The numbers of stored axes, those of space as Z, Y, X: the format leaves their order open."""
+    """Axis numbers that put the spatial axes in the order Z, Y, X, which OME-Zarr leaves open."""
     order = list(range(count))
     space = [axis for axis, name in enumerate(axes) if name in "ZYX"]
     sought = sorted(space, key=lambda axis: "ZYX".index(axes[axis]))
@@ -163,9 +164,9 @@ def _open_tiff(path: Path) -> Stored:
 
 
 def _pages(series: Any) -> NDArray[np.intp] | None:
-    """The number of the page at each index of the axes before those of a page.
+    """Page numbers as an array over the axes in front of those within a page.
 
-    None where pages do not follow each other in the order of the axes.
+    None if pages do not follow each other in the order of the axes.
     """
     inside = len(series.keyframe.shape)
     before = tuple(series.shape[: len(series.shape) - inside])
@@ -183,7 +184,7 @@ def _tiff_part(
     pages: NDArray[np.intp] | None,
     index: Index,
 ) -> NDArray[Any]:
-    """The voxels at an index; pages that are not asked for are not read, where that can be."""
+    """The voxels at an index; where possible, only the pages asked for are read."""
     whole = all(at == ALL for at in index) or (place is None and pages is None)
     read = [n for n, at in zip(shape, index, strict=True) if whole or at == ALL]
     _check_size(path, read, dtype)
@@ -201,20 +202,20 @@ def _tiff_part(
         ]
 
 
-# What a file of so many bytes may hold, so many times as much: strong compressions of an empty
-# image reach this; more would only fill the memory.
+# An image may take _GROWTH times the bytes of its file, and _SMALL bytes in any case: strong
+# compression of an empty image reaches this; more would only fill the memory.
 _GROWTH, _SMALL = 2000, 1 << 30
 
 
 def _check_size(path: Path, shape: Sequence[int], dtype: Any) -> None:
-    """InputError where a header claims more than the file can hold, before memory is asked for."""
+    """Raise InputError, before memory is allocated, if a header claims more than the file holds."""
     claimed = prod(int(n) for n in shape) * np.dtype(dtype).itemsize
     if claimed > max(_SMALL, _GROWTH * path.stat().st_size):
-        raise InputError(f"it says that it holds {claimed:.3g} bytes, which it cannot")
+        raise InputError(f"it claims to hold {claimed:.3g} bytes, more than it can")
 
 
 def _check_planes(tif: tifffile.TiffFile) -> None:
-    """InputError where the description promises more planes than are there: a copy cut short."""
+    """Raise InputError if there are fewer planes than the description promises: a partial copy."""
     plane = max(prod(tif.pages.first.shape), 1)
     found, promised = prod(tif.series[0].shape) // plane, None
     if tif.is_imagej:
@@ -223,7 +224,7 @@ def _check_planes(tif: tifffile.TiffFile) -> None:
         promised = prod(tif.shaped_metadata[0].get("shape", ())) // plane
     if isinstance(promised, int) and found < promised:
         raise InputError(
-            f"it is cut short: it says that it holds {promised} planes, and holds {found}; copy or "
+            f"it is cut short: it should hold {promised} planes, but holds {found}; copy or "
             "save it again"
         )
 
@@ -232,7 +233,7 @@ def _check_planes(tif: tifffile.TiffFile) -> None:
 
 
 def tiff_voxel_size(tif: tifffile.TiffFile) -> VoxelSize | None:
-    """um, Z Y X; None where the metadata does not say, or cannot be right."""
+    """Voxel size (um, Z Y X); None where the metadata does not give it, or cannot be right."""
     try:
         size = _ome_size(tif) if tif.is_ome else _imagej_size(tif) if tif.is_imagej else None
     except (ValueError, KeyError, TypeError, ZeroDivisionError, ElementTree.ParseError):
@@ -241,7 +242,7 @@ def tiff_voxel_size(tif: tifffile.TiffFile) -> VoxelSize | None:
 
 
 def plausible(size: VoxelSize | None) -> VoxelSize | None:
-    """A voxel size that a microscope may have; else None."""
+    """The voxel size if a microscope can have it, else None."""
     low, high = _PLAUSIBLE
     # This comparison is also false for NaN.
     return size if size and all(low <= d <= high for d in size) else None
@@ -264,7 +265,7 @@ def _ome_size(tif: tifffile.TiffFile) -> VoxelSize | None:
 
 def _imagej_size(tif: tifffile.TiffFile) -> VoxelSize | None:
     metadata = tif.imagej_metadata or {}
-    # Units of Y and Z are told only where they are not that of X.
+    # Units of Y and Z are given only where they differ from that of X.
     z, y, x = (
         unit_um(str(metadata.get(f"{axis}unit", metadata.get("unit", "")))) for axis in "zyx"
     )

@@ -23,7 +23,7 @@ _UNITS_UM = {
 
 
 def unit_um(name: str) -> float | None:
-    """How many um the unit is; None if it is no length ('pixel')."""
+    """Length of a unit in um; None if it is not a length ('pixel')."""
     # ImageJ writes the micro sign escaped; there are two characters for it.
     plain = name.replace("\\u00B5", "µ").strip().lower()
     plain = plain.replace("µ", "u").replace("μ", "u")

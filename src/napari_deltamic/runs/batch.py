@@ -28,7 +28,7 @@ STEM = "{stem}"  # in a pattern of seeds: the image's name without its extension
 
 
 class BatchRun(BaseModel):
-    """One fit of a batch file: an image, and what is different for it."""
+    """One fit of a batch file: an image, and what differs for it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -62,7 +62,7 @@ class BatchSettings(BaseModel):
 
 @dataclass(frozen=True)
 class BatchJob:
-    """A fit to be made: name of its folder, files, and further options of ``fit``."""
+    """A fit to run: name of its folder, files, and further options of ``fit``."""
 
     name: str
     image: Path
@@ -70,7 +70,7 @@ class BatchJob:
     options: tuple[str, ...]
 
     def words(self, folder: Path) -> list[str]:
-        """What follows ``napari-deltamic``."""
+        """The arguments after ``napari-deltamic`` that fit this image into a folder."""
         seeds = [] if self.seeds is None else ["--seeds", self.seeds]
         return ["fit", str(self.image), *seeds, *self.options, "--overwrite", "-o", str(folder)]
 
@@ -83,21 +83,23 @@ def batch_jobs(
     Parameters
     ----------
     source
-        A folder: every stack in it, but for those that the pattern names as seeds of another. Or a
+        A folder: every stack in it, except those that the pattern names as seeds of another. Or a
         TOML file with the fields of :class:`BatchSettings`.
     seeds
-        Pattern of their seeds, ``{stem}`` for the image's name without its extension; prevails.
+        Pattern of the seed files, ``{stem}`` for the image's name without its extension; overrides
+        the pattern in the file.
     options
-        Of ``fit``, for all; after those of the file.
+        Options of ``fit`` for all images, which follow those in the file.
 
     Returns
     -------
-    Jobs with names that differ. Whether the files are there is found out when their turn comes.
+    Jobs with distinct names. Whether the files exist is only found out when their turn comes.
 
     Raises
     ------
     InputError
-        If there is no such folder or file, an unknown key or a wrong value in it, or no image.
+        If there is no such folder or file, it has an unknown key or a wrong value, there is no
+        image, or two images have the same name.
     """
     source = Path(source)
     found = _of_folder(source, seeds) if source.is_dir() else _of_file(source, seeds)
@@ -113,16 +115,16 @@ def batch_jobs(
 
 
 def batch_for(folder: str | Path, settings: RunSettings) -> BatchSettings:
-    """A batch of all stacks of a folder with the settings of one run.
+    """A batch of all stacks in a folder, with the settings of one run.
 
-    They start from files whose names end in one of ``SEED_ENDS``, if there is one for a stack, else
-    from cells that are found. The voxel size of the run is taken only where a file has none.
+    Seeds are the files that the first of ``SEED_ENDS`` to fit any stack names; if none fits, cells
+    are found in the images. The voxel size of the run is used only for files that have none.
 
     Raises
     ------
     InputError
-        If there is no image, the PSF cannot be given on a command line, or a second view, which
-        belongs to one image, is fitted.
+        If there is no image, the PSF cannot be given on a command line, or the run has a second
+        view, which belongs to one image.
     """
     folder = Path(folder)
     if settings.scene.effects.view is not None:
@@ -149,7 +151,7 @@ def write_batch(folder: str | Path, settings: RunSettings) -> str:
     Raises
     ------
     InputError
-        If there is a file of that name, no image, or the settings are those of one image only.
+        If there is a file of that name already, no image, or the settings suit one image only.
     """
     path = Path(folder) / "batch.toml"
     if path.exists():
@@ -159,7 +161,7 @@ def write_batch(folder: str | Path, settings: RunSettings) -> str:
 
 
 def _fits(end: str, names: set[str]) -> bool:
-    """Whether a pattern of seeds names a file for some stack."""
+    """Whether a pattern of seeds names an existing file for at least one stack."""
     stacks = (Path(name) for name in names if is_image(name))
     return any(end.replace(STEM, _stem(stack)) in names for stack in stacks)
 
@@ -206,7 +208,7 @@ def _job(image: Path, seeds: str | None, folder: Path) -> BatchJob:
 
 
 def _seeds(pattern: str | None, image: Path, folder: Path) -> str | None:
-    """The seeds of an image: ``auto``, or a file of the folder."""
+    """The seeds of an image by the pattern: ``auto``, or a file in the folder; None for none."""
     if pattern is None or is_auto(pattern):
         return pattern
     named = pattern.replace(STEM, _stem(image))

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 def command(settings: RunSettings, output: str, *, missing: bool = False) -> str:
-    """The call of ``fit`` with these settings; it is quoted for a shell.
+    """The command line that runs ``fit`` with these settings, quoted for a shell.
 
-    missing : whether voxels that are NaN or infinite are left out.
+    missing : whether voxels that are NaN or infinite are to be left out.
 
     Raises
     ------
     InputError
-        If no flags give the PSF.
+        If no flags can describe the PSF.
     """
     words = [PROGRAM, "fit", settings.image, "--seeds", settings.seeds, *options_of(settings)]
     words += ["--missing-nan"] if missing else []
@@ -28,12 +28,12 @@ def command(settings: RunSettings, output: str, *, missing: bool = False) -> str
 
 
 def options_of(settings: RunSettings) -> list[str]:
-    """The options of ``fit`` that give these settings, but for image, seeds and output.
+    """The options of ``fit`` for these settings, without image, seeds and output.
 
     Raises
     ------
     InputError
-        If no flags give the PSF.
+        If no flags can describe the PSF.
     """
     scene, channel = settings.scene, described(type(settings))["channel"]
     words = [] if settings.channel is None else _words(channel, settings.channel)
@@ -44,7 +44,7 @@ def options_of(settings: RunSettings) -> list[str]:
 
 
 def flags_of(settings: Any) -> list[str]:
-    """The flags and values that give a settings object: of all that is not its default.
+    """The flags, with values, of all settings that are required or differ from their default.
 
     Parts, which have settings of their own, are left out.
     """
@@ -57,12 +57,12 @@ def flags_of(settings: Any) -> list[str]:
 
 
 def optics_flags(settings: Any) -> list[str]:
-    """The flags that give the settings of a PSF.
+    """The flags for the settings of a PSF.
 
     Raises
     ------
     InputError
-        If only a file of settings can.
+        If it has settings without a flag, which only a settings file can hold.
     """
     given = {name for name, found in described(type(settings)).items() if found.flag}
     for name, field in type(settings).model_fields.items():
@@ -88,7 +88,7 @@ def _words(found: Described, value: Any) -> list[str]:
 
 
 def _exact(value: Any) -> str:
-    """As short as it can be, without another value."""
+    """The shortest text that gives back exactly this value."""
     if not isinstance(value, float):
         return str(value)
     short = f"{value:.6g}"

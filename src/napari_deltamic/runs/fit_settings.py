@@ -1,4 +1,4 @@
-"""How a mesh is fitted to an image: the settings that need nothing of the engine."""
+"""Settings of how a mesh is fitted to an image; they need nothing of the engine."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from ..common.description import setting
 from ..common.wrong_value import first_wrong_value
 from ..errors import InputError
 
-# Coarse-to-fine schedules. A first blur wider than the gap between objects makes them attract each
-# other's mesh, so seeds that already lie on the membranes start near.
+# Coarse-to-fine schedules. If the first blur is wider than the gap between objects, each attracts
+# the other's mesh; so seeds that already lie on the membranes use the near one.
 WIDE_LEVELS = (5.0, 3.2, 2.0, 1.35, 1.0)
 NEAR_LEVELS = (1.0,)
 
 
-# What the dial offers; it also takes a length.
+# Names that the dial offers; it also takes a length.
 SHAPE_CHOICES = ("quick", "normal", "careful")
 _LENGTHS = {"nm": 1e-3, "um": 1.0, "µm": 1.0}
 
 
 def asked_error(choice: str) -> float | None:
-    """um of a length such as 20nm or 0.02um; None for a name. InputError for anything else."""
+    """A length such as 20nm or 0.02um in um; None for a name. InputError for anything else."""
     if choice in SHAPE_CHOICES:
         return None
     for unit, size in _LENGTHS.items():
@@ -46,7 +46,7 @@ def asked_error(choice: str) -> float | None:
 
 
 class Settings(BaseModel):
-    """Settings cannot change, and have no fields but their own."""
+    """Base of all settings: they cannot be changed, and unknown fields are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -222,7 +222,7 @@ class FitSettings(Settings):
 
     @property
     def image_accuracy(self) -> float:
-        """``accuracy``, or that of a rendering without an image where it is left to the noise."""
+        """``accuracy``, or if that is left to the noise, the default for renderings."""
         return RENDERED_ACCURACY if self.accuracy is None else self.accuracy
 
     @field_validator("shape_error", mode="before")
@@ -251,7 +251,7 @@ class FitSettings(Settings):
 
 
 def validated(model: type[Any], values: dict[str, Any]) -> Any:
-    """A settings object from plain values; InputError in one line where they are wrong."""
+    """A settings object from plain values; InputError in one line if they are wrong."""
     try:
         return model(**values)
     except ValidationError as error:

@@ -1,6 +1,6 @@
-"""The PSF as settings: what ``run.toml`` holds and the command line parses of it.
+"""The PSF as settings, as ``run.toml`` holds them and the command line parses them.
 
-The engine is loaded where a PSF is built.
+The engine is loaded only when a PSF is built.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class GaussianOptics(_Optics):
     covariance: tuple[Triple, Triple, Triple] | None = Field(default=None, description="um^2")
 
     def build(self) -> Optics:
-        """The PSF. InputError where a number cannot be."""
+        """The PSF. InputError if a number is not possible."""
         from ..optics import GaussianPSF
 
         return GaussianPSF(self.sigma, None if self.covariance is None else list(self.covariance))
 
 
 class MixtureOptics(_Optics):
-    """Two to four Gaussians of one centre."""
+    """A PSF of two to four Gaussians with one centre."""
 
     kind: Literal["mixture"] = "mixture"
     sigmas: tuple[Triple, ...] = Field(description="um, Z Y X, of each")
@@ -53,7 +53,7 @@ class MixtureOptics(_Optics):
     fitted: tuple[str, ...] | None = Field(default=None, description="what --fit-psf moves")
 
     def build(self) -> Optics:
-        """The PSF. InputError where a number cannot be."""
+        """The PSF. InputError if a number is not possible."""
         from ..optics import GaussianMixturePSF
 
         return GaussianMixturePSF(self.sigmas, self.masses, fitted=self.fitted)
@@ -67,7 +67,7 @@ class MixtureOptics(_Optics):
 
 
 class MicroscopeOptics(_Optics):
-    """A PSF from the numbers on the objective; see :func:`napari_deltamic.microscope`."""
+    """A PSF computed from the microscope's data; see :func:`napari_deltamic.microscope`."""
 
     kind: Literal["microscope"] = "microscope"
     modality: Modality = setting("widefield", title="modality", tip="type of microscope")
@@ -143,7 +143,7 @@ class MicroscopeOptics(_Optics):
     fitted: tuple[str, ...] | None = Field(default=None, description="what --fit-psf moves")
 
     def build(self) -> Optics:
-        """The PSF. InputError where a number cannot be."""
+        """The PSF. InputError if a number is not possible."""
         from ..optics import microscope
 
         return microscope(**self.model_dump(exclude={"kind"}))
@@ -162,7 +162,7 @@ class MicroscopeOptics(_Optics):
 
 
 class MeasuredOptics(_Optics):
-    """The PSF that the image of a bead shows."""
+    """A PSF measured as the image of a bead."""
 
     kind: Literal["measured"] = "measured"
     file: str = setting(
@@ -186,7 +186,7 @@ class MeasuredOptics(_Optics):
     bead: Bead = setting("solid", title="stained", tip="stained throughout, or on its surface")
 
     def build(self) -> Optics:
-        """The PSF. InputError where the file cannot be one."""
+        """The PSF. InputError if the file cannot be read, or does not show one."""
         from ..images.stacks import read_image
         from ..optics import MeasuredPSF
 
@@ -211,7 +211,7 @@ _ADAPTER: TypeAdapter[Any] = TypeAdapter(OpticsSettings)
 
 
 def optics_from_values(values: dict[str, Any]) -> Any:
-    """Settings of a PSF from plain values; InputError in one line where they are wrong."""
+    """Settings of a PSF from plain values; InputError in one line if they are wrong."""
     try:
         return _ADAPTER.validate_python(values)
     except ValidationError as error:
@@ -223,6 +223,6 @@ def optics_from_toml(path: str | Path) -> Any:
     with reading("optics", path):
         found = optics_from_values(toml_values(read_text(path)))
     if isinstance(found, MeasuredOptics):
-        # A file beside the settings is named as from there.
+        # Its path is relative to the folder of the settings file.
         found = found.model_copy(update={"file": str((Path(path).parent / found.file).absolute())})
     return found

@@ -1,4 +1,4 @@
-"""Files for what a run needs and only the viewer has, so that a command can repeat it."""
+"""Files for what only the viewer holds of a run, so that a command can repeat the run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .settings import NEAR_LEVELS, RunSettings
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """A run as it is chosen in a window; ``second`` is the image of its second view, if any."""
+    """A run as chosen in the window; ``second`` is the image of its second view, if any."""
 
     settings: RunSettings
     pixels: NDArray[Any]
@@ -28,7 +28,7 @@ class Chosen:
     second: NDArray[Any] | None = None
 
     def compared(self) -> Chosen:
-        """The same, without the files of images that were edited since they were opened."""
+        """The same run, without the paths of images that were edited since they were opened."""
         settings, view = self.settings, self.settings.scene.effects.view
         if settings.image and not holds_image(settings.image, self.pixels, settings.channel):
             settings = settings.model_copy(update={"image": ""})
@@ -38,7 +38,7 @@ class Chosen:
         return replace(self, settings=settings)
 
     def command(self, folder: str) -> str:
-        """That repeats it; what is in no file yet is written into the folder."""
+        """The command line that repeats the run; what has no file yet is written to the folder."""
         settings, pixels = self.settings, self.pixels
         if folder:
             where = Path(folder)
@@ -55,7 +55,7 @@ def needs_folder(settings: RunSettings) -> bool:
 
 
 def with_second_file(settings: RunSettings, path: str) -> RunSettings:
-    """The settings with another file of the second view that they have."""
+    """The settings with another file for their second view."""
     scene = settings.scene
     view = scene.effects.view
     assert view is not None, "the settings have a second view"
@@ -72,7 +72,7 @@ def with_files(
     folder: Path,
     second: NDArray[Any] | None = None,
 ) -> RunSettings:
-    """The settings with files for what has none; InputError if they cannot be written."""
+    """The settings after writing files for what has none; InputError if that fails."""
     files: dict[str, str | None] = {"image": settings.image, "seeds": settings.seeds}
     if not files["image"]:
         path = _unused(folder / "image.tif")
@@ -82,7 +82,7 @@ def with_files(
         path = seeds.save(folder, image, grid)
         files["seeds"] = str(path.absolute())
         if path.suffix in MESH_FILES and seeds.kind != "rough" and settings.fit.levels is None:
-            # A mesh file does not tell that its surfaces already lie on the membranes.
+            # A mesh file does not record that its surfaces already lie on the membranes.
             fit = settings.fit.model_copy(update={"levels": NEAR_LEVELS})
             settings = settings.model_copy(update={"fit": fit})
     settings = settings.model_copy(update=files)
@@ -95,7 +95,7 @@ def with_files(
 
 
 def _unused(path: Path) -> Path:
-    """A path at which nothing is yet: the folder may be that of the user's own images."""
+    """A path that is not in use yet: the folder may be that of the user's own images."""
     found, k = path, 0
     while found.exists():
         k += 1

@@ -1,4 +1,4 @@
-"""The settings of an image and its PSF that need nothing of the engine."""
+"""Settings of an image and its PSF; they need nothing of the engine."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ..common.triple import Triple
 from .fit_settings import Settings
 from .optics_settings import OpticsSettings
 
-# Where neither user nor image tell: a PSF is then 2.8 voxels wide at half its maximum; chosen, as
+# The PSF where neither user nor image tells: 2.8 voxels wide at half its maximum; chosen, as
 # microscopes are set to two to three (Nyquist's rule).
 SIGMA_IN_VOXELS = 1.2
 
 
 class SceneFields(Settings):
-    """How the image was formed, but for the effects, which need the engine."""
+    """How the image was formed, except for the effects, which need the engine."""
 
     voxel_size: Triple = setting(
         title="voxel size", tip="size of a voxel, Z Y X; default: from the image file", unit="um"

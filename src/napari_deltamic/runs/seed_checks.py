@@ -1,4 +1,4 @@
-"""What may be wrong with seeds, and which points it is about: told before a fit is started."""
+"""What may be wrong with seeds, and which points are concerned: told before a fit is started."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from ..geometry.mesh import FloatArray
 class PointSet:
     """The points of one layer that are seeds.
 
-    points, radii : um in the frame of the image; radii None where points are no spheres.
-    rows : of the layer, one for each point.
-    several : whether other layers give points too, so that sentences must name this one.
+    points, radii : um in the frame of the image; radii is None if the points are not spheres.
+    rows : row of the layer for each point.
+    several : whether other layers give points, too, so that sentences must name this one.
     """
 
     layer: Any
@@ -32,14 +32,14 @@ class PointSet:
     several: bool = False
 
     def name(self, index: int) -> str:
-        """A point as users find it: counted from 1, like the cells that come from it."""
+        """A point as users know it: counted from 1, like the cells made from points."""
         number = str(int(self.rows[index]) + 1)
         return f"{number} of '{self.layer.name}'" if self.several else number
 
 
 @dataclass(frozen=True)
 class Remark:
-    """A sentence, and the points that it is about: (layer, row) of each."""
+    """A sentence, and the points that it is about as (layer, row)."""
 
     text: str
     points: tuple[tuple[Any, int], ...] = ()
@@ -55,13 +55,13 @@ def all_remarks(
     size: Sequence[float],
     problems: Sequence[tuple[str, Sequence[int]]],
 ) -> list[Remark]:
-    """Everything that may be wrong.
+    """Remarks on everything that may be wrong with seeds.
 
     Parameters
     ----------
-    labels : Labels layers that are seeds too, each with its voxels.
-    shape, size : of the image: voxels, and um of one.
-    problems : what the engine said of points; it numbers them from 1 over all sets.
+    labels : Labels layers that are seeds, too, each with its voxels.
+    shape, size : shape of the image, voxels, and its voxel size, um.
+    problems : what the engine reports on points, which it numbers from 1 over all sets.
     """
     remarks = outside(sets, shape, size) + in_one_sphere(sets) + in_labels(sets, labels, size)
     told = (of_engine(sets, text, numbers) for text, numbers in problems)
@@ -69,7 +69,7 @@ def all_remarks(
 
 
 def outside(sets: Sequence[PointSet], shape: Sequence[int], size: Sequence[float]) -> list[Remark]:
-    """Points outside the image, which nobody can fit."""
+    """A remark on points outside the image, which cannot be fitted."""
     found: list[Place] = []
     for k, one in enumerate(sets):
         voxels = np.floor(one.points / np.asarray(size) + 0.5)
@@ -83,7 +83,7 @@ def outside(sets: Sequence[PointSet], shape: Sequence[int], size: Sequence[float
 
 
 def in_one_sphere(sets: Sequence[PointSet]) -> list[Remark]:
-    """Pairs of which one centre lies inside the other's sphere: two seeds in one cell."""
+    """Remarks on pairs where one centre lies in the other's sphere: two seeds in one cell."""
     places = [
         (k, i)
         for k, one in enumerate(sets)
@@ -106,7 +106,7 @@ def in_one_sphere(sets: Sequence[PointSet]) -> list[Remark]:
 def in_labels(
     sets: Sequence[PointSet], labels: Sequence[tuple[Any, NDArray[Any]]], size: Sequence[float]
 ) -> list[Remark]:
-    """Points in cells that a ticked Labels layer (given with its voxels) already starts."""
+    """Remarks on points in cells that a ticked Labels layer (given with its voxels) has as well."""
     remarks = []
     for layer, voxels in labels:
         if voxels.ndim != 3:
@@ -126,10 +126,11 @@ def in_labels(
 
 
 def beside_region(what: str, of: str, numbers: int, lost: int, cut: int = 0) -> list[Remark]:
-    """Cells beside the region that is fitted, or cut by its border.
+    """A remark on cells beside the region that is fitted, or cut by its border; [] without any.
 
-    what, of : what they are, "cell", and of which layer.
+    what, of : what they are called, such as "cell", and the name of their layer.
     numbers : how many there are in all.
+    lost, cut : how many lie beyond the border, and how many it cuts.
     """
     edge = "the border of the region"
     told = [
@@ -142,17 +143,17 @@ def beside_region(what: str, of: str, numbers: int, lost: int, cut: int = 0) -> 
 
 
 def labels_beside_region(name: str, labels: NDArray[Any], box: tuple[slice, ...]) -> list[Remark]:
-    """The same of labels of all the image, of which a box is fitted."""
+    """The same, counted from the labels of the whole image, of which a box is fitted."""
     whole, inside = voxels_of(labels), voxels_of(labels[box])
     cut = sum(whole[number] > count for number, count in inside.items())
     return beside_region("cell", name, len(whole), len(whole) - len(inside), cut)
 
 
 def voxels_of(labels: NDArray[Any]) -> dict[int, int]:
-    """How many voxels each label has, however large their numbers; without 0."""
+    """Number of voxels of each label above 0, however large the labels are."""
     if labels.max(initial=0) > labels.size:
         numbers, counts = np.unique(labels, return_counts=True)
-    else:  # which is faster, but takes memory by the largest number
+    else:  # faster, but takes memory in proportion to the largest label
         flat = labels.ravel()
         flat = flat.clip(0) if labels.min(initial=0) < 0 else flat
         counts = np.bincount(flat.astype(np.intp, copy=False))
@@ -162,9 +163,9 @@ def voxels_of(labels: NDArray[Any]) -> dict[int, int]:
 
 
 def of_engine(sets: Sequence[PointSet], message: str, numbers: Sequence[int]) -> Remark | None:
-    """What the engine says of points that it numbers from 1 over all sets.
+    """The engine's message on points, which it numbers from 1 over all sets, as a remark.
 
-    None where they were removed since.
+    None if these points have been removed since.
     """
     places = [(k, i) for k, one in enumerate(sets) for i in range(len(one.points))]
     found = [places[n - 1] for n in numbers if 0 < n <= len(places)]

@@ -18,14 +18,14 @@ from ..geometry.seed_points import surfaces_of_points
 from ..images.missing import filled
 from ..scene import Grid
 
-Problem = tuple[str, tuple[int, ...]]  # a sentence, and the points that it names, from 1
+Problem = tuple[str, tuple[int, ...]]  # a sentence, and the points that it names, counted from 1
 SMALL = 250_000  # voxels whose preview takes about a second
-COARSEST = 2  # voxels are joined in each direction, at most, to get there
+COARSEST = 2  # most voxels joined along an axis to get there
 
 
 @dataclass(frozen=True)
 class Found:
-    """Starting surfaces, None if no point gave any; and what was wrong with those that did not."""
+    """Starting surfaces, None if no point gave one; and what is wrong with those that gave none."""
 
     mesh: Mesh | None
     problems: tuple[Problem, ...]
@@ -34,14 +34,14 @@ class Found:
 def find(points: FloatArray, image: NDArray[Any], grid: Grid) -> Found:
     """Starting surfaces of points (um), on a coarser image where that saves much time.
 
-    Points that give none are named and left out; those outside the image only left out.
+    Points without a surface are named and left out; those outside the image are only left out.
     """
     inside = np.floor(points / np.asarray(grid.voxel_size) + 0.5)
     left = np.flatnonzero(((inside >= 0) & (inside < np.asarray(grid.shape))).all(axis=1))
     if not len(left):
         return Found(None, ())
     whole, coarse = coarser(filled(image), grid)
-    edge = EDGE_IN_VOXELS * min(grid.voxel_size)  # that of the fit
+    edge = EDGE_IN_VOXELS * min(grid.voxel_size)  # as in the fit
     try:
         parts, refused = surfaces_of_points(
             whole, coarse.voxel_size, points[left], None, coarse.origin, edge
@@ -55,9 +55,9 @@ def find(points: FloatArray, image: NDArray[Any], grid: Grid) -> Found:
 def usable(
     choices: Sequence[Sequence[Triple]], before: FloatArray, image: NDArray[Any], grid: Grid
 ) -> list[Triple]:
-    """Of each choice of places (um), the first that gives a surface; nothing where none does.
+    """The first place (um) of each choice that gives a surface; choices without one are left out.
 
-    Nor where that is the surface of a point that is there before, or of another choice.
+    A place does not count if its surface is that of a point in ``before``, or of another choice.
     """
     places = [place for choice in choices for place in choice]
     if not places:
@@ -75,7 +75,7 @@ def usable(
 
 
 def coarsening(shape: tuple[int, ...], size: tuple[float, ...]) -> tuple[int, ...]:
-    """How many voxels to join along each axis: none in small images, else the shortest first."""
+    """How many voxels to join along each axis: 1 in small images, else 2, shortest sides first."""
     factors = [1] * len(shape)
     for axis in np.argsort(size, kind="stable").tolist():
         voxels = np.prod(np.ceil(np.divide(shape, factors)))
@@ -97,6 +97,6 @@ def coarser(image: NDArray[Any], grid: Grid) -> tuple[NDArray[Any], Grid]:
         shape = (*blocks.shape[:axis], -1, factor, *blocks.shape[axis + 1 :])
         blocks = blocks.reshape(shape).mean(axis=axis + 1)
     size = np.multiply(grid.voxel_size, factors)
-    # The first voxel is now the middle of several.
+    # The first voxel is now centred between several.
     origin = np.add(grid.origin, np.multiply(grid.voxel_size, np.subtract(factors, 1)) / 2)
     return blocks, Grid(blocks.shape, triple(size), triple(origin))

@@ -1,4 +1,4 @@
-"""Where a fit starts: kinds of seeds, each of which makes surfaces; for commands and window."""
+"""Where a fit starts: kinds of seeds, each of which makes surfaces; for commands and the window."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from ..images.stacks import read_image, write_image
 from ..scene import Grid
 
 # How near to the membranes starting surfaces lie: "rough" for meshes and spheres, "labels", or
-# "image" where all follow from points in the image alone (neighbours without a point would then
-# attract them).
+# "image" where all are found in the image from points alone (neighbours without a point would
+# attract surfaces that start further away).
 SeedKind = Literal["rough", "labels", "image"]
 
 
@@ -46,21 +46,21 @@ class Seeds(Protocol):
 
     @property
     def path(self) -> str:
-        """The file that they are, or '' if they only live in the viewer."""
+        """The file that holds them, or '' if they exist only in the viewer."""
 
     def make(self, image: NDArray[Any], grid: Grid) -> Mesh:
         """The starting surfaces; may take seconds. InputError if they cannot be used."""
 
     def save(self, folder: Path, image: NDArray[Any], grid: Grid) -> Path:
-        """Write what the command line takes as ``--seeds``."""
+        """Write a file that the command line takes as ``--seeds``, and return its path."""
 
 
 @dataclass(frozen=True)
 class PointSeeds:
-    """A point inside each cell: a sphere where its radius (um) is known, else (nan, or without
-    radii) the surface that the image gives.
+    """A point inside each cell: the start is a sphere where its radius (um) is known, else (NaN, or
+    without radii) the surface that the image gives.
 
-    Points are in um, or with ``in_voxels`` numbers of voxels.
+    Points are in um, or with ``in_voxels`` in voxels.
     """
 
     points: FloatArray
@@ -80,7 +80,7 @@ class PointSeeds:
         return seeds_from_points(whole, grid.voxel_size, points, self.radii, grid.origin)
 
     def places(self, grid: Grid) -> FloatArray:
-        """(n, 3) um."""
+        """The points in um, (n, 3)."""
         if not self.in_voxels:
             return self.points
         return np.asarray(grid.origin) + self.points * np.asarray(grid.voxel_size)
@@ -92,7 +92,7 @@ class PointSeeds:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["z", "y", "x", "radius"][: rows.shape[1]])
-        # An empty radius is one that is not known.
+        # Unknown radii are left empty.
         writer.writerows([[repr(float(v)) if v == v else "" for v in row] for row in rows])
         path = folder / "seeds.csv"
         write_atomically(path, text.getvalue().encode())
@@ -106,7 +106,7 @@ class LabelSeeds:
     Attributes
     ----------
     marks
-        Whether labels may only mark the cells that the image shows, such as those of nuclei.
+        Whether labels may just mark the cells that the image shows, as labels of nuclei do.
     """
 
     labels: NDArray[Any]
@@ -136,7 +136,7 @@ class LabelSeeds:
 
 @dataclass(frozen=True)
 class MeshSeeds:
-    """Surfaces as they are."""
+    """A mesh, used as it is."""
 
     surface: Mesh
     path: str = ""
@@ -161,7 +161,7 @@ class MeshSeeds:
 
 @dataclass(frozen=True)
 class MixedSeeds:
-    """Seeds of several kinds; the surfaces of all, each with regions of its own."""
+    """Seeds of several kinds: the surfaces of all parts, with distinct regions."""
 
     parts: tuple[Seeds, ...]
     path: str = ""
@@ -182,13 +182,13 @@ class MixedSeeds:
 
 
 def mixed(parts: Sequence[Seeds]) -> Seeds:
-    """One seeds object of several.
+    """Several seeds objects as one.
 
-    Points go together, so that two in one cell are seen even if they are in two layers.
+    Points are joined, so that two in one cell are noticed even if they are in two layers.
     """
     points = [part for part in parts if isinstance(part, PointSeeds) and not part.in_voxels]
     others = [part for part in parts if not isinstance(part, PointSeeds) or part.in_voxels]
-    # Labels that mark cells would take the ground of other parts, which they do not know.
+    # Labels that mark cells would take up the place of other parts, which they know nothing of.
     others = (
         [replace(part, marks=False) if isinstance(part, LabelSeeds) else part for part in others]
         if len(parts) > 1
@@ -220,11 +220,11 @@ class FoundSeeds:
     Attributes
     ----------
     size
-        um, the diameter of a typical cell; None: estimated.
+        Diameter of a typical cell, um; None: estimated.
     path
-        As :func:`seeds_of` reads it.
+        The text from which :func:`seeds_of` makes the same object.
     nuclei
-        File and channel that show nuclei, which mark the cells; None: the image itself shows them.
+        File and channel that show nuclei, which mark the cells; None: found in the image itself.
     """
 
     size: float | None = None
@@ -241,8 +241,8 @@ class FoundSeeds:
         return LabelSeeds(self.labels(image, grid)).save(folder, image, grid)
 
     def labels(self, image: NDArray[Any], grid: Grid) -> NDArray[np.int32]:
-        """(Z, Y, X) the cells. InputError where there are none."""
-        # Imported where it is needed, as that takes a while.
+        """The cells as a (Z, Y, X) label image. InputError if none are found."""
+        # Imported only here, as that takes a while.
         from ..geometry.labels.bright_cells import cells_of
 
         if self.nuclei is None:
@@ -260,22 +260,22 @@ class FoundSeeds:
 
 
 def _found(path: str, image: str) -> FoundSeeds:
-    """Of "auto", "auto:12" (um), "auto@2" (a channel of the image), "auto@2:12"."""
+    """Seeds for "auto", "auto:12" (um), "auto@2" (a channel of the image) or "auto@2:12"."""
     place, colon, told = path[len(AUTO) :].partition(":")
     if place and not (place[1:] and image):
-        raise InputError(f"{path}: which channel of which file shows the nuclei? {AUTO}@2, say")
+        raise InputError(f"{path}: say which channel of the image shows the nuclei, as in {AUTO}@2")
     try:
         size = float(told) if colon else None
     except ValueError:
-        raise InputError(f"{path}: {told!r} is no size of cells, um: {AUTO}:12, say") from None
+        raise InputError(f"{path}: {told!r} is not a cell size in um, as in {AUTO}:12") from None
     return FoundSeeds(size, path, (image, place[1:]) if place else None)
 
 
 def seeds_of(path: str, image: str = "") -> Seeds:
-    """Seeds from a file, by its extension: mesh, label image, or points; or "auto", or
+    """Seeds from a file, by its extension: mesh, label image, or points; or from "auto", or
     "auto:12" for cells of about 12 um; or "auto@2", where nuclei in another channel mark them.
 
-    image : file of the image, if there is one.
+    image : path of the image, if it has one.
 
     Raises
     ------

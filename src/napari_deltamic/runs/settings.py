@@ -1,7 +1,7 @@
-"""The one settings object: what a command line parses, a widget shows and ``run.toml`` holds.
+"""The one settings object: the command line parses it, the widget shows it, ``run.toml`` holds it.
 
-Lengths are um, arrays Z, Y, X. Every field says what there is to say of it, once: flags, forms and
-the reference page are made of that (see ``description``).
+Lengths are in um, arrays in Z, Y, X. Every field is described once: flags, forms and the reference
+page are made from that (see ``description``).
 """
 
 from __future__ import annotations
@@ -43,6 +43,6 @@ class RunSettings(RunFields):
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
-        """Read a document written by :meth:`to_toml`; InputError names what is wrong."""
+        """Read a file written by :meth:`to_toml`; InputError names what is wrong."""
         with reading("settings", path):
             return cast(Self, validated(cls, toml_values(read_text(path))))

@@ -1,4 +1,4 @@
-"""A whole run of tracking."""
+"""The settings of a whole run of tracking."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .track_settings import TrackSettings as TrackSettings
 class TrackRun(RunSettings):
     """A whole run of tracking. Its ``run.toml`` repeats it."""
 
-    image: str  # of a series, or a folder or pattern of 3D images
+    image: str  # file of a series, or a folder or pattern of 3D images
     track: TrackSettings = TrackSettings()
 
     @model_validator(mode="after")

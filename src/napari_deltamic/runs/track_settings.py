@@ -1,4 +1,4 @@
-"""How cells are tracked: the settings that need nothing of the engine."""
+"""Settings of how cells are tracked; they need nothing of the engine."""
 
 from __future__ import annotations
 

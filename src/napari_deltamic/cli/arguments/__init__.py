@@ -1,7 +1,7 @@
-"""What each command takes, and what is refused before any work.
+"""The arguments of each command, and what is refused before any work.
 
-Nothing here loads the engine: ``--version``, ``--help`` and mistakes answer at once. A command sets
-``module``, which runs it, and ``check``, which raises InputError.
+Nothing here loads the engine: ``--version``, ``--help`` and errors are answered at once. A command
+sets ``module``, which runs it, and ``check``, which raises InputError.
 """
 
 from . import (

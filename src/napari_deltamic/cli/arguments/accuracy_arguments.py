@@ -1,4 +1,4 @@
-"""What ``accuracy`` takes."""
+"""The arguments of ``accuracy``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FILES = ("accuracy.json", "accuracy.png", "shape.png")
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "accuracy",
         help="what accuracy costs in time, on your scene and machine",
@@ -37,7 +37,7 @@ def add_parser(commands: Any) -> None:
         "--accuracy",
         type=float,
         metavar="A",
-        help="the one in use (default: 1e-3 for a mesh, from the noise for an image)",
+        help="accuracy in use (default: 1e-3 for a mesh, from the noise for an image)",
     )
     add(
         "--budget",
@@ -55,9 +55,9 @@ def add_parser(commands: Any) -> None:
         "--photons",
         type=float,
         metavar="P",
-        help="at the peak of the simulated images (with a mesh)",
+        help="photons at the peak of the simulated images (with a mesh)",
     )
-    add("--draws", type=int, metavar="N", help="of the noise, for --shape-error")
+    add("--draws", type=int, metavar="N", help="noisy images per choice, for --shape-error")
     add("--missing-nan", action="store_true", help="leave out voxels that are NaN or infinite")
     add("--overwrite", action="store_true", help="replace the results in DIR")
     add("-o", "--output", metavar="DIR", help="folder for accuracy.json and the pictures")

@@ -1,4 +1,4 @@
-"""What several commands say and check."""
+"""Checks of arguments that several commands share."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..flags import values_given
 
 
 def check_files(arguments: argparse.Namespace, *names: str) -> None:
-    """InputError unless the files that these arguments name are there."""
+    """Raise InputError unless the files that these arguments name exist."""
     for name in names:
         path = getattr(arguments, name)
         asked = path is not None and not (name == "seeds" and is_auto(path))
@@ -24,7 +24,7 @@ def check_files(arguments: argparse.Namespace, *names: str) -> None:
 
 
 def check_file_to_write(path: Path, *, folder: bool = False) -> None:
-    """InputError unless a file, or such a folder, can be written there; it may be there already."""
+    """Raise InputError unless a file (or, with ``folder``, a folder) can be written or replaced."""
     if path.is_dir() and not folder:
         raise InputError(f"{path} is a folder; name a file")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
@@ -34,12 +34,12 @@ def check_file_to_write(path: Path, *, folder: bool = False) -> None:
 
 
 def check_given_accuracy(arguments: argparse.Namespace) -> None:
-    """InputError unless the accuracy of a rendering, where it is given, can be one."""
+    """Raise InputError if an accuracy is given that is not possible."""
     if arguments.accuracy is not None:
         check_accuracy(arguments.accuracy)
 
 
 def check_channel(arguments: argparse.Namespace) -> None:
-    """InputError unless the channel of the image can be one."""
+    """Raise InputError if a channel is given that is not possible, such as 0."""
     given = values_given(arguments, RunFields, ("channel",))
     validated(RunFields, {"image": "", "seeds": "", **given})

@@ -1,4 +1,4 @@
-"""What ``batch`` takes."""
+"""The arguments of ``batch``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .fit_arguments import add_fit_options, check_fit_options
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "batch",
         help="many stacks, one table: resumed where it was stopped, on one machine or many",
@@ -28,9 +28,14 @@ def add_parser(commands: Any) -> None:
         "--workers",
         type=int,
         metavar="N",
-        help="processes of one thread (default: the cores); 0: this process alone, without Dask",
+        help="processes of one thread each (default: one per core); 0: this process alone, without "
+        "Dask",
     )
-    add("--scheduler", metavar="ADDRESS", help="of a Dask cluster whose workers see the same files")
+    add(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="scheduler of a Dask cluster whose workers see the same files",
+    )
     add("-o", "--output", required=True, metavar="DIR", help="folder for the results")
     parser.set_defaults(module="batch_command", check=_check)
 
@@ -42,7 +47,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise InputError(f"--workers must be 0 or more, not {arguments.workers}")
     if arguments.workers is not None and arguments.scheduler is not None:
         raise InputError("--scheduler brings its own workers: leave out --workers")
-    # Seeds are a pattern, and each image is looked at when its turn comes.
+    # Seeds are a pattern, and each image is checked when its turn comes.
     alone = {**vars(arguments), "image": arguments.source, "seeds": arguments.source}
     check_fit_options(argparse.Namespace(**alone), "batch")
     folder = Path(arguments.output)

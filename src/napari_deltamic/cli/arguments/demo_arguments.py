@@ -1,4 +1,4 @@
-"""What ``demo`` takes."""
+"""The arguments of ``demo``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _WRITTEN = (*PRECIOUS, "image.tif", "seeds.ply", "truth.ply")
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "demo",
         help="fit a cell whose true surface is known, live in napari if there is a display",

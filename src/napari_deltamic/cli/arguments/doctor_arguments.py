@@ -1,4 +1,4 @@
-"""What ``doctor`` takes."""
+"""The arguments of ``doctor``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "doctor",
         help="devices, engines, threads, versions; what would be used and why",

@@ -1,4 +1,4 @@
-"""What ``effects`` takes."""
+"""The arguments of ``effects``."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from .fit_arguments import add_fit_options, check_fit_options
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "effects",
         help="which effects an image calls for",
         description="Fit an image without further effects and say which it calls for: the "
-        "evidence, by how much the surface is off without, and what it costs. Changes nothing.",
+        "evidence, how far off the surface is without each, and what it costs. Changes nothing.",
     )
     add = parser.add_argument
     add("image", nargs="?", metavar="IMAGE", help=".tif, .npy or .zarr; not needed with --settings")
     add_fit_options(parser)
-    add("--candidates", metavar="E", help="only these, with commas between")
+    add("--candidates", metavar="E", help="consider only these effects, separated by commas")
     add("--json", metavar="FILE", help="write everything found as JSON; - for stdout")
     parser.set_defaults(module="effects_command", check=_check)
 

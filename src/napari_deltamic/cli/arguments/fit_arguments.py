@@ -1,4 +1,4 @@
-"""What ``fit`` takes, and what every other command that fits takes too."""
+"""The arguments of ``fit``, and those shared by every command that fits."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .argument_checks import check_channel, check_files
 
 CHECKPOINT = "checkpoint.npz"
 _GOING_ON = ("report.json", "mesh.ply", "mesh.rec", CHECKPOINT)
-# What one would not want to lose: files of another kind may have such names too.
+# Files that one would not want to lose; unrelated files may have such names, too.
 PRECIOUS = (
     *_GOING_ON,
     "run.toml",
@@ -30,7 +30,7 @@ _SCENE = ("voxel_size", "sigma", "effects")
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "fit",
         help="fit meshes, and the PSF, to an image",
@@ -52,7 +52,7 @@ def add_parser(commands: Any) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what every command that fits takes: seeds, scene, settings of a fit, and the folder."""
+    """Add the arguments of every command that fits: seeds, scene, fit settings, and the folder."""
     add_fit_options(parser)
     add = parser.add_argument
     add("--overwrite", action="store_true", help="replace the results in DIR")
@@ -60,20 +60,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_fit_options(parser: argparse.ArgumentParser) -> None:
-    """Add what describes a fit: seeds, scene and settings."""
+    """Add the arguments that describe a fit: seeds, scene and settings."""
     add_flags(parser, RunFields)
     known = ", ".join(EFFECTS)
-    text = f"auto, none, or some of {known}, with commas between"
+    text = f"auto, none, or some of {known}, separated by commas"
     add_flags(parser, SceneFields, _SCENE, helps={"effects": text})
     add_optics(parser)
     add_flags(parser, FitSettings)
     add = parser.add_argument
-    add("--settings", metavar="run.toml", help="settings of a former run; other options prevail")
+    add("--settings", metavar="run.toml", help="settings of an earlier run; options override them")
     add("--missing-nan", action="store_true", help="leave out voxels that are NaN or infinite")
 
 
 def check_fit_options(arguments: argparse.Namespace, command: str) -> None:
-    """Refuse what cannot be, of all that :func:`add_fit_options` adds but voxel size and effects.
+    """Check the arguments of :func:`add_fit_options`, except voxel size and effects.
 
     Raises
     ------
@@ -117,5 +117,5 @@ def _add_second_view(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=TRIPLE,
-        help="um; standard deviations of its PSF, which is held",
+        help="um; standard deviations of its PSF, which is kept fixed",
     )

@@ -1,4 +1,4 @@
-"""What ``measure`` takes."""
+"""The arguments of ``measure``."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _WRITTEN = (*MEASURED, *FURTHER)
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "measure",
         help="volumes, areas, curvatures, contacts, angles, tensions: tables and files",
         description="Measure the cells, walls and junctions of a mesh. Writes cells.csv, "
         "walls.csv, junctions.csv, cells and walls as .vtk and .ply with these numbers on every "
-        "face, labels.ome.tif, and measurements.html, a page about it all. Of tracks: tracks.csv "
+        "face, labels.ome.tif, and measurements.html, a page about it all. For tracks: tracks.csv "
         "and tracks.geff, for other trackers.",
     )
     add = parser.add_argument
@@ -34,18 +34,24 @@ def add_parser(commands: Any) -> None:
         metavar="MESH_OR_SESSION",
         help="mesh file (um), session (.deltamic), or the folder that fit or track wrote",
     )
-    add("--image", metavar="FILE", help="that the mesh was fitted to: says what its border cuts")
+    add(
+        "--image",
+        metavar="FILE",
+        help="image that the mesh was fitted to: tells which cells its border cuts",
+    )
     text = (
-        "of that image, the one the mesh was fitted to: number, from 1, or name (default: as fit)"
+        "channel of that image that the mesh was fitted to: number, from 1, or name (default: as "
+        "in the fit)"
     )
     add_flags(parser, RunFields, ("channel",), helps={"channel": text})
-    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um, of that image")
+    add("--voxel-size", nargs=3, type=float, metavar=TRIPLE, help="um; voxel size of that image")
     add(
         "--label-voxel",
         nargs=3,
         type=float,
         metavar=TRIPLE,
-        help="um, of the label image (default: as the image; without one there are no labels)",
+        help="um; voxel size of the label image (default: that of the image; without an image no "
+        "labels are written)",
     )
     add(
         "--other-channel",
@@ -71,7 +77,7 @@ def add_parser(commands: Any) -> None:
         help="also write the rendered image and the residual; with the labels as OME-TIFF or "
         "OME-Zarr",
     )
-    add("--errors", action="store_true", help="also standard errors; of a session, and slow")
+    add("--errors", action="store_true", help="also standard errors; only for a session, and slow")
     add("--overwrite", action="store_true", help="replace the results in DIR")
     add("-o", "--output", required=True, metavar="DIR", help="folder for the results")
     parser.set_defaults(module="measure_command", check=_check)
@@ -95,5 +101,5 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _is_image(text: str | None) -> bool:
-    """Whether it names an image file, not a channel."""
+    """Whether a text names an image file rather than a channel."""
     return text is not None and Path(text).suffix.lower() in IMAGE_FILES

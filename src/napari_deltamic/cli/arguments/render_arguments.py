@@ -1,4 +1,4 @@
-"""What ``render`` takes."""
+"""The arguments of ``render``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .argument_checks import check_file_to_write, check_files, check_given_accur
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "render",
         help="the image of a mesh under a PSF",
@@ -33,7 +33,7 @@ def add_parser(commands: Any) -> None:
     add(
         "--effects",
         metavar="E",
-        help=f"some of {', '.join(EFFECTS)}, with commas between, and with their numbers, as "
+        help=f"some of {', '.join(EFFECTS)}, separated by commas, with their numbers, such as "
         "halo:fraction=0.1:width=2",
     )
     add("--overwrite", action="store_true", help="replace the image if it is there")

@@ -1,4 +1,4 @@
-"""What ``simulate`` takes."""
+"""The arguments of ``simulate``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MOST = 100_000  # images of one set
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "simulate",
         help="make noisy images whose cells are known, for tests, teaching and training",
@@ -25,8 +25,8 @@ def add_parser(commands: Any) -> None:
     )
     add = parser.add_argument
     add("mesh", nargs="?", metavar="MESH", help=f"{MESH_FILES_LISTED}; um")
-    add("--cells", type=int, metavar="N", help="so many random cells instead of a mesh")
-    add("--kind", choices=get_args(CellKind), help="of random cells (default: foam)")
+    add("--cells", type=int, metavar="N", help="make N random cells instead of using a mesh")
+    add("--kind", choices=get_args(CellKind), help="kind of random cells (default: foam)")
     add_grid_and_optics(parser)
     add(
         "--interior",
@@ -39,14 +39,15 @@ def add_parser(commands: Any) -> None:
         "--effects",
         default="none",
         metavar="E",
-        help="with their numbers, as attenuation=0.02,halo=0.1,camera:gain=2:offset=100",
+        help="effects with their numbers, such as "
+        "attenuation=0.02,halo=0.1,camera:gain=2:offset=100",
     )
-    add("--photons", type=float, metavar="P", help="in the brightest voxel (default: 100)")
+    add("--photons", type=float, metavar="P", help="photons in the brightest voxel (default: 100)")
     add(
         "--photons-per-um2",
         type=float,
         metavar="P",
-        help="of membrane, instead of those in the brightest voxel",
+        help="photons per um^2 of membrane, instead of those in the brightest voxel",
     )
     add("--background", type=float, metavar="B", help="photons (default: a tenth of the brightest)")
     add(
@@ -54,10 +55,10 @@ def add_parser(commands: Any) -> None:
         type=int,
         choices=get_args(Bits),
         default=16,
-        help="of an intensity; 32 is float32 (default: %(default)s)",
+        help="bits of an intensity; 32 is float32 (default: %(default)s)",
     )
-    add("--seed", type=int, default=0, metavar="S", help="of cells and noise (default: 0)")
-    add("--count", type=int, default=1, metavar="N", help="images, of seeds S, S+1, ...")
+    add("--seed", type=int, default=0, metavar="S", help="random seed (default: 0)")
+    add("--count", type=int, default=1, metavar="N", help="number of images, seeds S, S+1, ...")
     add("--overwrite", action="store_true", help="replace the results in DIR")
     add(
         "-o",

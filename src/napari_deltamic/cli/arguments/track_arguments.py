@@ -1,4 +1,4 @@
-"""What ``track`` takes."""
+"""The arguments of ``track``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .fit_arguments import add_options, check_fit_options
 
 
 def add_parser(commands: Any) -> None:
-    """Add the command to the parser of all."""
+    """Add the command to the others."""
     parser = commands.add_parser(
         "track",
         help="track cells through a series of images",
@@ -29,15 +29,15 @@ def add_parser(commands: Any) -> None:
         help="a .tif or .npy file (T, Z, Y, X), a folder of 3D files, or a pattern in quotes, such "
         "as 'movie/t*.tif'; not needed with --settings",
     )
-    add("--frames", metavar="A:B", help="from frame A, to which the seeds belong, to before B")
+    add("--frames", metavar="A:B", help="frames A, to which the seeds belong, to B-1")
     add_flags(parser, TrackSettings)
-    add("--resume", metavar="DIR", help="go on after the frames that a former run wrote to DIR")
+    add("--resume", metavar="DIR", help="go on after the frames that an earlier run wrote to DIR")
     add_options(parser)
     parser.set_defaults(module="track_command", check=_check)
 
 
 def track_values(arguments: argparse.Namespace) -> dict[str, object]:
-    """Settings of tracking that the arguments give; InputError where they cannot be."""
+    """Settings of tracking given by the arguments; InputError if they are not possible."""
     values: dict[str, object] = values_given(arguments, TrackSettings)
     if arguments.frames is not None:
         first, colon, stop = arguments.frames.partition(":")

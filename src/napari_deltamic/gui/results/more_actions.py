@@ -21,7 +21,7 @@ from .session import Parts, capture, restore
 
 
 class CommandCopy:
-    """Asks for a folder where image or seeds are in no files, writes them, copies the command."""
+    """Copies the command; asks for a folder first if image or seeds must be written to files."""
 
     def __init__(self, doc: Document, parent: QWidget) -> None:
         self._doc = doc
@@ -39,7 +39,7 @@ class CommandCopy:
         self.folder_action = action("Prepare a batch...", tip, slot, parent)
 
     def copy(self) -> None:
-        """Put the command together of what is chosen. InputError where something is missing."""
+        """Copy the command for what is chosen. InputError if something is missing."""
         doc = self._doc
         frame, pixels = doc.image.frame(), doc.image.stack()
         seeds = doc.cells.seeds(frame)
@@ -63,7 +63,7 @@ class CommandCopy:
             )
 
     def _failed(self, reason: str) -> None:
-        """It has nothing to do with the fit that is shown."""
+        """Tell why it failed, which has nothing to do with the fit that is shown."""
         self._doc.noted.emit("")
         self._doc.warned.emit(reason)
 
@@ -118,7 +118,7 @@ class SessionBar:
         return self._saving.busy or self._opening.busy or self._steps is not None
 
     def save(self, path: str) -> None:
-        """Save what is shown now. InputError if there is nothing that could be saved."""
+        """Save what is shown now. InputError if there is nothing to save."""
         session, remark = capture(self._parts)
         if remark:
             self._doc.warned.emit(remark)
@@ -143,7 +143,7 @@ class SessionBar:
         self._show()
 
     def _forget(self) -> None:
-        """The window is closed; a file that is being written is written to its end."""
+        """The window is closed: stop opening; a file being written is completed."""
         self._steps = None
         self._calm.end()
 
@@ -161,7 +161,7 @@ class SessionBar:
         self._go_on()
 
     def _go_on(self) -> None:
-        """The next step; then the window has its turn."""
+        """Do the next step of opening; then the window has its turn."""
         steps, self._steps = self._steps, None
         if steps is None:
             return
@@ -194,7 +194,7 @@ class SessionBar:
         self.save(path)
 
     def _show(self) -> None:
-        """What is under way."""
+        """Show on the actions what is under way."""
         opening = self._opening.busy or self._steps is not None
         if not opening:
             self._calm.end()

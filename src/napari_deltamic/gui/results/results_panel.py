@@ -100,7 +100,7 @@ class ResultsPanel(QGroupBox):
         self._saved(path)
 
     def _csv(self) -> str:
-        """What is known of the cells, in the columns in which a cell has something."""
+        """The table as CSV, in the columns in which at least one cell has a value."""
         names = [column.key for column in self.table.known_columns()]
         rows = [{name: value_of(row, name) for name in names} for row in self.table.rows]
         return csv_text(names, rows)
@@ -149,7 +149,7 @@ class ResultsPanel(QGroupBox):
         self._doc.told.emit(f"saved {path}{kept}")
 
     def _show(self) -> None:
-        """The cells of the result; nothing where there is none."""
+        """Show the cells of the result; nothing if there is none."""
         record = self._doc.result
         self.valid_for.say(self._valid_for())
         self.setVisible(record is not None)
@@ -169,7 +169,7 @@ class ResultsPanel(QGroupBox):
                 record.link.describe(self.table.rows)
 
     def _valid_for(self) -> str:
-        """What table and exports are of, where that is not what is seen."""
+        """Says what table and exports belong to if that is not what is seen; else ''."""
         doc = self._doc
         if doc.rescued is not None:
             return f"Of '{doc.rescued.link.image_layer.name}', which was removed."
@@ -187,7 +187,7 @@ class ResultsPanel(QGroupBox):
         return earlier if doc.earlier else ""
 
     def _offer_colours(self) -> None:
-        """The columns of numbers; the one in use stays, where it can."""
+        """Offer the numeric columns for colouring; the one in use stays if possible."""
         before = self.coloured_by
         with signals_blocked(self.colour):
             self.colour.clear()
@@ -199,7 +199,7 @@ class ResultsPanel(QGroupBox):
         self._colour_cells()
 
     def _colour_cells(self, index: int = 0) -> None:
-        """In the viewer, and say between which numbers the colours lie."""
+        """Colour the cells in the viewer by a column, and say which numbers the colours span."""
         key, link = self.coloured_by, self._doc.link
         numbers = self.table.numbers(key) if key else None
         column = next((c for c in self.table.columns if c.key == key), None)
@@ -223,7 +223,7 @@ class ResultsPanel(QGroupBox):
             self._doc.link.highlight(self._doc.selection)
 
     def _explain(self) -> None:
-        """What there is to say of the cell chosen, where it is one."""
+        """Show the remarks on the chosen cell, if it is a single one."""
         chosen = self._doc.selection
         rows = [row for row in self.table.rows if {row["region"]} == chosen]
         self.why.say(sentence(why_of(rows[0])) if rows else "")
@@ -248,7 +248,7 @@ class ResultsPanel(QGroupBox):
         return menu
 
     def _ask(self, write: Callable[[str], None], name: str, kinds: str) -> None:
-        """Ask for a file of some kinds, or for a folder where it has no name; then write it."""
+        """Ask for a file of some kinds, or without a name for a folder; then write it."""
         if name:
             path, kind = QFileDialog.getSaveFileName(self, "Save", name, kinds)
             suffix = re.search(r"\*([.\w]+)", kind or kinds)
@@ -268,14 +268,14 @@ class ResultsPanel(QGroupBox):
 
 
 def _new(path: str) -> str:
-    """A path that a dialog did not warn of. InputError if something is there."""
+    """The path itself, for one that no dialog has checked. InputError if something is there."""
     if Path(path).exists():
         raise InputError(f"{path} is there already: choose it, or another name")
     return path
 
 
 class ClickSelection:
-    """Tells which cell was clicked on, until it is closed.
+    """Reports which cell was clicked on, until it is closed.
 
     Parameters
     ----------
@@ -311,7 +311,7 @@ class ClickSelection:
 
 
 def region_at(link: ViewerLink, event: Any) -> int:
-    """The region at an event of the mouse in the viewer that a link shows a mesh in; 0 if none."""
+    """The region at a mouse event in the viewer in which a link shows a mesh; 0 if none."""
     mesh, dims = link.shown, link.viewer.dims
     if mesh is None or not link.at_time:
         return OUTSIDE

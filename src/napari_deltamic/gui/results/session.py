@@ -1,4 +1,4 @@
-"""The widget as a session, and a session in the widget."""
+"""Saving the widget as a session, and restoring a session in the widget."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .session_layers import image_layer, save_image, save_layer, seed_layer
 
 @dataclass(frozen=True)
 class Parts:
-    """What of a widget a session is made of."""
+    """The parts of a widget that go into a session."""
 
     doc: Document
     seeds: Any  # the panel of the cells
@@ -31,7 +31,7 @@ class Parts:
 
 
 def capture(parts: Parts) -> tuple[Session, str]:
-    """The session that is shown, and what of it is left out, in words ('' for nothing).
+    """The present state as a session, and what of it is left out, in words ('' for nothing).
 
     It shares the arrays of the layers, so that a large image is not copied. InputError if there is
     no image, or a setting that is not valid.
@@ -94,7 +94,7 @@ def restore(parts: Parts, session: Session) -> Generator[None]:
 def _shown_with(
     parts: Parts, session: Session, image: Any, seeds: list[Any], second: Any
 ) -> Generator[None]:
-    """What a session has besides the image, which is there already."""
+    """Show the rest of a session, whose image is there already, in steps."""
     doc, viewer, panels = parts.doc, parts.doc.viewer, session.panels
     yield
     doc.settings.show_fit(session.settings.fit)
@@ -130,12 +130,12 @@ def _shown_with(
 
 
 def _left(doc: Document, image: Any) -> bool:
-    """Whether the user has begun something else meanwhile."""
+    """Whether the user has started something else meanwhile."""
     return bool(doc.work.occupied) or doc.image.layer is not image
 
 
 def _layers(session: Session) -> tuple[Any, list[Any], Any]:
-    """Those of the image, the seeds and the second view. InputError if they cannot be made."""
+    """Layers of image, seeds and second view of a session. InputError if they cannot be made."""
     try:
         image = image_layer(session.image, session.tracks)
         seeds = [seed_layer(seed) for seed in session.seeds]
@@ -152,7 +152,7 @@ def _layers(session: Session) -> tuple[Any, list[Any], Any]:
 
 
 def _result(doc: Document, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | None, str]:
-    """The newest state of the fit of the image chosen, with its job; else why there is none."""
+    """The newest result for the chosen image, if any, with its job, and what is left out."""
     run, found = doc.run, doc.result_of_image()
     if found is None:
         others = [other for other in doc.records.values() if other.state is not None]
@@ -231,7 +231,7 @@ def _show_result(doc: Document, result: SavedResult, session: Session) -> Genera
 
 
 def _fields(seeds: Any) -> dict[str, tuple[Callable[[], Any], Callable[[Any], None]]]:
-    """How each field of the panel of the cells is read, and how it shows a value."""
+    """For each field of the cells' panel, how to read it, and how to show a value."""
     size = seeds.find_cells.cell_size
     return {
         "start_as": (seeds.shape.currentText, lambda text: seeds.use_spheres("sphere" in text)),
@@ -242,7 +242,7 @@ def _fields(seeds: Any) -> dict[str, tuple[Callable[[], Any], Callable[[Any], No
 
 
 def _show_view(viewer: Any, shown: dict[str, Any]) -> Generator[None]:
-    """Each step of it lets napari draw, which may have its turn where this yields."""
+    """Restore the view in steps; napari may draw wherever this yields."""
     yield
     if "ndisplay" in shown:
         viewer.dims.ndisplay = int(shown["ndisplay"])

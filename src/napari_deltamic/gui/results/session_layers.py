@@ -1,4 +1,4 @@
-"""Layers of a viewer as a session file holds them, and back."""
+"""Layers of a viewer converted to what a session file holds, and back."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def save_layer(
 
 
 def seed_layer(saved: SavedLayer) -> Layer:
-    """The layer again. InputError if it is of no kind that is known."""
+    """A layer from a session. InputError if its kind is unknown."""
     options, arrays = dict(saved.options), saved.arrays
     own = dict(options.pop("known", {}))
     options = _options(saved, options)
@@ -113,7 +113,7 @@ def mesh_layer(mesh: Mesh, name: str, frame: Frame) -> Surface:
 
 
 def _arrays(layer: Any, step: tuple[int, ...], point: tuple[float, ...]) -> dict[str, NDArray[Any]]:
-    """What a layer holds at the viewer's dims."""
+    """The arrays of a layer at the time that the viewer shows."""
     if isinstance(layer, Labels):
         return {"data": stack_of(layer, step)}
     if isinstance(layer, Points):
@@ -170,7 +170,7 @@ def _save_colormap(colormap: Any) -> dict[str, Any]:
 
 
 def _colormap(saved: dict[str, Any]) -> Any:
-    """napari's own of that name, where it is the same; else one with these colours."""
+    """napari's own colormap of that name if it is the same, else one with these colours."""
     known = AVAILABLE_COLORMAPS.get(saved["name"])
     if known is not None and _save_colormap(known) == saved:
         return saved["name"]

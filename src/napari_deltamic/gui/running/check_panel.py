@@ -1,4 +1,4 @@
-"""How a fit went: its grade, what is shown of it, where it is wrong, and what can be mended."""
+"""How a fit went: its grade, what is shown of it, where it is wrong, and what can be corrected."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _FITTED = {
 
 
 class CheckPanel(QGroupBox):
-    """What became of a fit, and what can be done with it."""
+    """Shows how a fit went, and what can be done with it."""
 
     fit_again = Signal()  # with all that a fit can estimate
 
@@ -96,17 +96,17 @@ class CheckPanel(QGroupBox):
 
     @property
     def strays(self) -> Sequence[Any]:
-        """The bright things of the image that no cell explains."""
+        """The bright things in the image that no cell explains."""
         return () if self._judged is None else self._judged.strays
 
     @property
     def _judged(self) -> Judged | None:
-        """What is known of the result, where it is one of the image as it is now."""
+        """What is known about the result if it belongs to the image as it is now; else None."""
         doc = self._doc
         return None if doc.result is None or doc.other else doc.result.judged
 
     def tell(self, text: str) -> None:
-        """What came of something that the user did, in a line."""
+        """Show in a line what came of something that the user did."""
         doc = self._doc
         self._note_of = doc.image.layer
         self._of_other_fit = doc.running and bool(doc.name_of_other(doc.record))
@@ -137,7 +137,7 @@ class CheckPanel(QGroupBox):
             self._doc.link.go_to_time()
 
     def _show_time(self, event: Any = None) -> None:
-        """Of which time it is what is said here, where the image shown is of another."""
+        """Say to which time the panel belongs if the viewer shows another one."""
         link = None if self.edit.isHidden() else self._doc.link
         time = "" if link is None or link.at_time else link.time_in_words
         self.away.say(f"This is of {time}, not of the time shown." if time else "")
@@ -168,7 +168,7 @@ class CheckPanel(QGroupBox):
             self._show()
 
     def _show(self) -> None:
-        """All that is known of the fit that runs, or else of the image chosen."""
+        """Show all that is known about the running fit, or else about the chosen image."""
         doc, record = self._doc, self._doc.record
         lost = doc.rescued
         name = "" if lost is None else lost.link.image_layer.name
@@ -215,12 +215,12 @@ class CheckPanel(QGroupBox):
         self._hide_if_empty()
 
     def _look_again(self) -> None:
-        """The image may be another than what was fitted, or that again."""
+        """Update if the image has become another than the fitted one, or the same again."""
         if self.other_image.text() != self._other_in_words():
             self._show()
 
     def _other_in_words(self) -> str:
-        """What is to be said where the image is not as it was fitted."""
+        """A text if the image is no longer as it was fitted; else ''."""
         doc = self._doc
         other = doc.other if doc.in_sight else ""
         if not other:
@@ -248,14 +248,14 @@ class CheckPanel(QGroupBox):
         self.curve.show_losses(history.loss, history.level, history.first, noted)
 
     def _show_view(self) -> None:
-        """What is looked at, and how it is to be read."""
+        """Show which view is chosen, and how to read it."""
         self.view.setCurrentText(self._doc.view)
         self.scale.say(
             _SCALE if self._doc.view == "residual" and self.edit.isVisibleTo(self) else ""
         )
 
     def _show_verdict(self, verdict: str, text: str) -> None:
-        """How it ended, in the first line of a text; those after it are remarks, in a list."""
+        """Show how the fit ended, the first line of a text, and the further lines as remarks."""
         said, *remarks = text.split("\n")
         self.verdict.say(said, verdict)
         self.remarks.set_title(counted(len(remarks), "remark"))
@@ -264,7 +264,7 @@ class CheckPanel(QGroupBox):
         self.remarks.setVisible(bool(remarks))
 
     def _show_grade(self, record: Record | None) -> None:
-        """How well the shapes explain the image, and what can be done about it."""
+        """Show how well the shapes explain the image, and what can be done about it."""
         known = None if record is None else record.judged
         grade = "" if known is None else known.verdict.grade
         length = "" if record is None else record.link.frame.length
@@ -285,7 +285,7 @@ class CheckPanel(QGroupBox):
         self.stray.say(f"{n} {places} no cell" if n else "")
 
     def _show_end(self) -> None:
-        """The grade says whether it is of what is shown."""
+        """Show the grade if it belongs to what is shown."""
         doc = self._doc
         if not doc.running:
             self._show_grade(doc.record if doc.in_sight and not doc.other else None)
@@ -294,7 +294,7 @@ class CheckPanel(QGroupBox):
         self.curve.show_moment(None if moment is None else moment.iteration - self._offset)
 
     def _show_slice(self, event: Any = None) -> None:
-        """Which slices the viewer shows, whoever turned them; none for any others."""
+        """Show which slices the viewer has, whoever chose them; nothing for other orders."""
         dims = self._doc.viewer.dims
         first = dims.ndim - 3
         shown = {axis - first for axis in dims.order[-2:]}
@@ -302,7 +302,7 @@ class CheckPanel(QGroupBox):
         self.slice.setCurrentIndex(self.slice.findText(next(names, "")))
 
     def _turn(self, index: int) -> None:
-        """Slices across another axis; those before Z, Y, X stay where they are."""
+        """Show slices across another axis; axes before Z, Y, X stay as they are."""
         dims = self._doc.viewer.dims
         first = dims.ndim - 3
         order = _SLICES[self.slice.currentText()]
@@ -326,7 +326,7 @@ class CheckPanel(QGroupBox):
             self.tell("")
 
     def _hide_if_empty(self) -> None:
-        """The panel is there as long as it has something to say."""
+        """Show the panel only while it has something to say."""
         parts = (self.curve, self.verdict, self.note)
         self.setHidden(all(part.isHidden() for part in parts))
 
@@ -345,7 +345,7 @@ class CheckPanel(QGroupBox):
 
 
 class LiveNumbers(Fold):
-    """The parameters of PSF and effects that are fitted: at its start, and now."""
+    """The fitted parameters of PSF and effects: at the start, and now."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         self.table = QLabel()

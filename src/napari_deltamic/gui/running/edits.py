@@ -1,4 +1,4 @@
-"""What a user changes by hand, in the fit under way or in its result; undo and redo."""
+"""Changes by hand in the running fit or in its result; undo and redo."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class _Step:
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """Pins that the fit has not taken over yet, of a mesh."""
+    """Pins of a mesh that the fit has not adopted yet."""
 
     pinned: NDArray[np.bool_]
     mesh: Mesh
@@ -40,7 +40,7 @@ class _Asked:
 
 
 class Edits(QObject):
-    """Hands changes to whatever there is, and remembers how to take them back."""
+    """Hands changes to the running fit or the result, and remembers how to undo them."""
 
     changed = Signal()  # what can be undone, or what is pinned
     settings_undone = Signal(object)  # the Change that took settings, optics or effects back
@@ -68,7 +68,7 @@ class Edits(QObject):
 
     @property
     def pinned(self) -> NDArray[np.bool_] | None:
-        """(V,) which vertices of the newest mesh are pinned; None where there is no mesh."""
+        """(V,) bool: which vertices of the newest mesh are pinned; None without a mesh."""
         present = self._doc.present()
         return None if present is None else self._pins(present)
 
@@ -94,7 +94,7 @@ class Edits(QObject):
             self.change(Change(mesh=mesh.with_vertices(mesh.vertices_numpy() + shift)), note)
 
     def pin(self, which: NDArray[np.bool_], pinned: bool, of: Mesh | None = None) -> None:
-        """Pin vertices, or free them, (V,) bool, of a mesh of this fit; or of the newest."""
+        """Pin or free vertices, (V,) bool, of a mesh of this fit; by default of the newest."""
         present = self._present()
         which = _suited(which, of, present.state.mesh)
         before = self._pins(present)
@@ -108,7 +108,7 @@ class Edits(QObject):
             self.pin(pinned, False)
 
     def change(self, change: Change, note: str) -> None:
-        """Change anything. InputError where it cannot be; then all is as before."""
+        """Make any change. InputError if that is not possible; then nothing has changed."""
         present = self._present()
         _check(change, present)
         back = self._back(change, present)
@@ -122,7 +122,7 @@ class Edits(QObject):
         self._remember(note, back, present.state.mesh)
 
     def go_on_from(self, mesh: Mesh, optics: Any, note: str) -> None:
-        """Let the fit go on from another state of it, or start one from there."""
+        """Let the fit continue from another of its states, or start one from there."""
         present = self._present()
         pinned = carried(self._pins(present), present.state.mesh, mesh)
         change = Change(mesh=mesh, optics=optics, pinned=pinned)
@@ -151,7 +151,7 @@ class Edits(QObject):
         self.changed.emit()
 
     def _shown(self, snapshot: Any) -> None:
-        """The fit has taken over what was asked, or has other vertices: tell what is pinned."""
+        """Signal what is pinned once the fit has adopted it, or when its vertices change."""
         taken = self._asked is not None and snapshot.changes >= self._asked.number
         if taken:
             self._asked = None
@@ -170,7 +170,7 @@ class Edits(QObject):
         self.changed.emit()
 
     def _steps(self) -> tuple[list[_Step], list[_Step]]:
-        """What can be undone, and done again, of the image whose fit or result there is."""
+        """The steps that can be undone, and redone, in the present record."""
         record = self._doc.record
         return ([], []) if record is None else (record.done, record.undone)
 
@@ -200,7 +200,7 @@ class Edits(QObject):
         return present
 
     def _pins(self, present: Present) -> NDArray[np.bool_]:
-        """(V,) what is pinned of the newest mesh, or will be once the fit has taken it over."""
+        """(V,) bool: what is pinned on the newest mesh, or will be once the fit has adopted it."""
         state, asked = present.state, self._asked
         if present.running and asked is not None and asked.number > present.changes:
             return carried(asked.pinned, asked.mesh, state.mesh)
@@ -209,7 +209,7 @@ class Edits(QObject):
         return np.asarray(state.pinned, bool)
 
     def _back(self, change: Change, present: Present) -> Change:
-        """What takes a change back: of what it changes, the present values."""
+        """The change that undoes a change: the present values of all that it changes."""
         mesh = present.state.mesh
         values: dict[str, Any] = {
             "mesh": mesh,
@@ -242,31 +242,31 @@ class Edits(QObject):
 
 
 def _is_of_fit_alone(change: Change) -> bool:
-    """Whether a change is one of settings or effects, which a result has no more."""
+    """Whether a change concerns settings or effects only, which a result no longer uses."""
     return all(one is None for one in (change.mesh, change.pinned, change.optics))
 
 
 def _leads_back(change: Change, back: Change) -> bool:
-    """Whether a change of settings or effects is what takes the last one back."""
+    """Whether a change of settings or effects is the one that undoes the last one."""
     if not (_is_of_fit_alone(change) and _is_of_fit_alone(back)):
         return False
     return change.effects == back.effects and _chosen(change) == _chosen(back)
 
 
 def _chosen(change: Change) -> Any:
-    """The settings of a change, without the levels, which the software may have noted."""
+    """The settings of a change without the levels, which the software may have set."""
     return None if change.settings is None else change.settings.model_copy(update={"levels": None})
 
 
 def can_take(optics: Any, present: Present) -> bool:
-    """Whether what there is to change can go on with a PSF: a fit that runs keeps its kind."""
+    """Whether the fit or result can continue with a PSF: a running fit keeps its kind."""
     now = present.state.optics
     same = type(optics) is type(now) and optics.parameters().shape == now.parameters().shape
     return same or not present.running
 
 
 def _check(change: Change, present: Present) -> None:
-    """InputError if what there is to change cannot take a change."""
+    """Raise InputError if the fit or result cannot take a change."""
     if change.optics is not None and not can_take(change.optics, present):
         raise InputError(f"{OTHER_PSF}: stop the fit first")
     state, job = present.state, present.job
@@ -274,7 +274,7 @@ def _check(change: Change, present: Present) -> None:
 
 
 def _suited(values: Any, of: Mesh | None, mesh: Mesh) -> Any:
-    """Values for the vertices of a mesh, from those of another one. InputError if of neither."""
+    """Values for the vertices of a mesh, from those for another one. InputError if for neither."""
     values = values if of is None else carried(values, of, mesh)
     if len(values) != len(mesh.vertices):
         raise InputError("there is another mesh now: try again")

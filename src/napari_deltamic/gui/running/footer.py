@@ -1,4 +1,4 @@
-"""Fit, pause and stop, and how far it is: always in sight, under what scrolls."""
+"""Fit, pause, stop and progress: always visible, below the part that scrolls."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Footer(QWidget):
         self._work_changed()
 
     def _say(self, text: str) -> None:
-        """Tell how far it is; of which image's fit that is, where another one is chosen."""
+        """Show the progress, naming the image of the fit if another one is chosen."""
         name = self._doc.name_of_other(self._doc.record) if self._doc.running else ""
         self.message.say(f"Fit of {name}: {text}" if name and text else text)
 
@@ -77,13 +77,13 @@ class Footer(QWidget):
         self.reason.say(sentence(text))
 
     def _look_again(self, by_user: bool = False) -> None:
-        """Something is another: a reason that holds no more goes, or gives way to another one."""
+        """Something has changed: clear a reason that no longer holds, or replace it."""
         if self.reason.text():
             same = self._of == self._doc.image.key()
             self.reason.say(sentence(self._missing()) if same else "")
 
     def _missing(self) -> str:
-        """Why a fit could not start now, as far as that is seen without a look at the voxels."""
+        """Why no fit can start now, as far as is known without reading voxels; '' if one can."""
         doc = self._doc
         try:
             doc.cells.seeds(doc.image.frame(), copied=False)
@@ -93,7 +93,7 @@ class Footer(QWidget):
         return ""
 
     def _looked(self) -> None:
-        """What any task is doing; a fit that iterates says more, unless that takes long."""
+        """Show what a task is doing; a fit that iterates shows more, unless that takes long."""
         task: Any = self._doc.work.task
         if task is not None and task.stopping:  # by a key, as well
             self.message.say("stopping ...")
@@ -133,7 +133,7 @@ class Footer(QWidget):
         self._say(stands if run.paused else progress_text(done, rate, left))
 
     def _advance(self, done: int, of: int, text: str = "%p%") -> None:
-        """Show how far it is; painted when all is: Qt would paint the window, and wait for it."""
+        """Set the bar without painting it at once: Qt would paint all of the window, and wait."""
         bar = self.progress
         bar.setUpdatesEnabled(False)
         bar.setRange(0, of)
@@ -154,11 +154,11 @@ class Footer(QWidget):
 
 
 def progress_text(iterations: int, rate: float, remaining: float | None) -> str:
-    """Iterations done, how many a second, and the time that remains, in words."""
+    """Iterations done, iterations per second, and the remaining time in words."""
     text = f"{counted(iterations, 'iteration')}, {rate:.{0 if rate >= 2 else 1}f} a second"
     return text if remaining is None else f"{forecast_text(remaining)} left; {text}"
 
 
 def forecast_text(seconds: float) -> str:
-    """About how long, in words."""
+    """An approximate time in words."""
     return "a second" if seconds < 1.5 else f"about {duration(seconds, whole=True)}"

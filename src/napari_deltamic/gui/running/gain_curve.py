@@ -23,14 +23,14 @@ _CURVE = ("#ffb000", "#a35f00")  # on dark, and on light
 
 @dataclass
 class Line:
-    """The course of one level: iterations, and what was gained up to there, in per cent."""
+    """The course of one level: iterations, and the gain up to there in per cent."""
 
     x: Sequence[float]
     y: Sequence[float]
 
 
 class GainCurve(QWidget):
-    """What the fit gains; a line for each level, as each looks at a sharper image."""
+    """Plots what a fit gains, with a line for each level, as each sees a sharper image."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -65,7 +65,7 @@ class GainCurve(QWidget):
         self.update()
 
     def show_moment(self, x: float | None) -> None:
-        """Point at a moment; None at none."""
+        """Mark a moment by its place on the axis; None for none."""
         self._now = x
         self.update()
 
@@ -114,7 +114,7 @@ class GainCurve(QWidget):
 
 
 def _gained(loss: Sequence[float], changed: Sequence[bool]) -> list[float]:
-    """What was gained up to each iteration, in per cent of the variation of the image.
+    """The gain up to each iteration, in per cent of the variation of the image.
 
     On its way down a fit only gains: where its loss grows, it counts other voxels than before, or
     weighs them otherwise. Only what the user changed may lose.
@@ -130,6 +130,6 @@ def _gained(loss: Sequence[float], changed: Sequence[bool]) -> list[float]:
 
 
 def _spread(n: int) -> list[int]:
-    """Indices of as many points as are worth drawing, the first and the last among them."""
+    """Indices of the points to draw, at most as many as can be told apart, with first and last."""
     chosen = [*range(0, n, max(1, n // _MOST_POINTS))]
     return chosen if not n or chosen[-1] == n - 1 else [*chosen, n - 1]

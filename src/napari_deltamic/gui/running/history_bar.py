@@ -1,4 +1,4 @@
-"""A slider over the moments of a fit, and what one can do from there."""
+"""A slider over the moments of a fit, and the actions from there."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class HistoryBar(QWidget):
         self.update_moments()
 
     def update_moments(self) -> None:
-        """Which there are; the one that is looked at stays, or the nearest to it."""
+        """Update the slider to the present moments; the one shown stays, or the nearest to it."""
         self._moments = tuple(self._doc.timeline.moments)
         last = max(len(self._moments) - 1, 0)
         with signals_blocked(self.slider):
@@ -73,14 +73,14 @@ class HistoryBar(QWidget):
         self._show()
 
     def to_live(self) -> None:
-        """Look at the newest state, as it comes."""
+        """Follow the newest state."""
         with signals_blocked(self.slider):
             self.slider.setValue(self.slider.maximum())
         self._choose(None)
 
     @property
     def _of_other_image(self) -> str:
-        """Why no fit can go on from here, where the image is not as it was fitted; else ''."""
+        """Why no fit can continue from here, if the image is not as it was fitted; else ''."""
         doc = self._doc
         if doc.running or not doc.other:
             return ""
@@ -105,7 +105,7 @@ class HistoryBar(QWidget):
             self.update_moments()
 
     def go_on(self) -> None:
-        """Let the fit go on from the moment shown, or start one there.
+        """Let the fit continue from the moment shown, or start one there.
 
         InputError where it would not be one of the image as it is now.
         """

@@ -1,4 +1,4 @@
-"""Settings that are edited while a fit runs: what it takes over at once, and what it cannot."""
+"""Settings edited while a fit runs: what it adopts at once, and what it cannot."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FIT = described(FitSettings)
 
 
 class LiveSettings:
-    """Hands what the user edits to the fit that is under way."""
+    """Hands what the user edits to the running fit."""
 
     def __init__(self, doc: Document, edits: Edits) -> None:
         self._doc, self._edits = doc, edits
@@ -65,7 +65,7 @@ class LiveSettings:
             self._attempt(self._hand_over, "the fit goes on as it was")
 
     def _attempt(self, action: Callable[[], None], otherwise: str) -> None:
-        """Do something, or tell why it cannot be done, and what then happens."""
+        """Run an action, or tell why it failed, and what happens instead."""
         try:
             action()
         except InputError as error:
@@ -114,7 +114,7 @@ class LiveSettings:
         self._tell_fixed()
 
     def _other_optics(self, scene: SceneSettings) -> Optics | None:
-        """The PSF shown; None where the fit cannot take it, which is told."""
+        """The PSF shown; None, after a message, if the fit cannot take it."""
         present = self._doc.present()
         optics = optics_of(scene)
         if present is None or type(optics) is type(present.state.optics):
@@ -135,7 +135,7 @@ class LiveSettings:
         return shown.replace(**same)
 
     def _tell_fixed(self) -> None:
-        """What cannot change on the way is told once."""
+        """Tell once what cannot change while a fit runs."""
         before, self._scene = self._scene, self._doc.settings.scene_settings()
         if before is not None and before.effects.view != self._scene.effects.view:
             self._doc.noted.emit(f"{kind_of(ViewEffect).title}: used from the next run on")

@@ -1,4 +1,4 @@
-"""What drives a fit: its start and end, what it shows, what is changed in it; and its verdict."""
+"""Drives a fit: its start and end, what it shows, what is changed in it; and its verdict."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .worker import FitRun, Snapshot
 
 
 class RunControl:
-    """Fits, one at a time, from the document to the viewer."""
+    """Runs fits, one at a time, from the document to the viewer."""
 
     def __init__(self, doc: Document) -> None:
         self._doc = doc
@@ -38,12 +38,12 @@ class RunControl:
         self._lets_go = False
 
     def start(self) -> None:
-        """Start a fit of what is chosen; says in plain words what is missing."""
+        """Start a fit of what is chosen; if something is missing, the user is told what."""
         if not self._doc.busy():
             attempt(self._start, self.complain)
 
     def complain(self, message: str) -> None:
-        """A fit of the image chosen failed."""
+        """Tell that a fit of the chosen image failed."""
         doc = self._doc
         doc.failed.emit(message)
         doc.warned.emit(message)
@@ -51,7 +51,7 @@ class RunControl:
     # ------------------------------------------------------------------- changes on the way
 
     def ask(self, change: Change, note: str, of: Mesh) -> int:
-        """Let the fit go on from something else, made of a mesh; the note is told when it does.
+        """Ask the fit to continue from a change, made on a mesh; the note is told when it does.
 
         Snapshots include it from the number returned on.
         """
@@ -60,11 +60,11 @@ class RunControl:
         return number
 
     def ask_shift(self, shift: NDArray[np.float64], note: str, of: Mesh) -> None:
-        """Let the fit go on with its vertices moved, (V, 3) um."""
+        """Ask the fit to continue with its vertices moved, (V, 3) um."""
         self._asked.append((self._doc.run.waiting.shift(shift, of), note))
 
     def replace_result(self, state: FitState, note: str) -> None:
-        """Take a state for the result: it was changed by hand, or back to that of the fit."""
+        """Take a state as the result: one changed by hand, or the fit's own again after undo."""
         record = self._doc.result
         if record is None:
             return
@@ -100,7 +100,7 @@ class RunControl:
             self._doc.link.hold(mesh)
 
     def let_go(self) -> None:
-        """Show the newest mesh again, as soon as the fit has taken over all changes."""
+        """Show the newest mesh again, as soon as the fit has adopted all changes."""
         self._lets_go = bool(self._asked)
         if self._doc.link is not None and not self._lets_go:
             self._doc.link.let_go()
@@ -145,7 +145,7 @@ class RunControl:
         doc.shown.emit(snapshot)
 
     def _taken_over(self, snapshot: Snapshot) -> str:
-        """What the fit has taken over since the last snapshot, in words."""
+        """The notes of changes that the fit has adopted since the last snapshot."""
         notes = [note for number, note in self._asked if number <= snapshot.changes]
         self._asked = [(n, note) for n, note in self._asked if n > snapshot.changes]
         return ", ".join(dict.fromkeys(notes))
@@ -194,13 +194,13 @@ class RunControl:
 
 
 def _after(learned: Learned, image: tuple[Hashable, ...], job: FitInput) -> Forecaster | None:
-    """A forecast that knows how earlier runs went."""
+    """The forecast of a job, corrected by earlier runs; None if there is none."""
     found = expected(job)
     return found.after(learned.about(found.kind, image)) if isinstance(found, Forecast) else found
 
 
 class Judging:
-    """Judges results in the background, and shows what is rendered where it is wanted."""
+    """Judges results in the background, and shows rendered images where wanted."""
 
     def __init__(self, doc: Document) -> None:
         self._doc = doc
@@ -218,14 +218,14 @@ class Judging:
             self.background.drop()  # what was found is of an earlier fit
 
     def _show_snapshot(self, snapshot: Snapshot) -> None:
-        """What a fit that runs has rendered, if it has."""
+        """Show what a running fit has rendered, if anything."""
         record = self._doc.record
         if snapshot.rendered is not None and record is not None and not self.background.busy:
             work = partial(compared, snapshot.rendered, snapshot.job, self._spread)
             self.background.ask(work, partial(self._add, record, None))
 
     def _judge(self) -> None:
-        """Render the result, and look at what it leaves unexplained."""
+        """Render and judge the result, in the background."""
         record = self._doc.result
         if record is not None and not self._doc.running and record.judged is None:
             self._asked_of = record.state
@@ -233,7 +233,7 @@ class Judging:
             self.background.ask(work, partial(self._add, record, record.state))
 
     def _image_changed(self) -> None:
-        """A result is judged when its image is chosen, where it ended under another one."""
+        """Judge a result when its image is chosen, if another one was chosen when it ended."""
         self._place()
         record = self._doc.result
         asked = self.background.busy and record is not None and record.state is self._asked_of
@@ -241,7 +241,7 @@ class Judging:
             self._judge()
 
     def _add(self, record: Record, state: FitState | None, images: Compared) -> None:
-        """Take over what was found: of a result, or, without a state, of a fit that runs."""
+        """Take over images and verdict: of a result, or, without a state, of a running fit."""
         if state is not None and record.state is not state:
             return
         doc = self._doc
@@ -253,7 +253,7 @@ class Judging:
                 doc.judged.emit()
 
     def _place(self) -> None:
-        """Each image is shown as its own record has it."""
+        """Show the images of the present record, and hide those of others."""
         for record in self._doc.records.values():
             own = record is self._doc.record and self._doc.in_sight
             own = own and self._doc.of_image(record)

@@ -64,7 +64,7 @@ class EditBar(ToolBar):
         self._show_pins()
 
     def explain(self) -> None:
-        """What the tool in use does, with its brush."""
+        """Show what the tool in use does, and the size of its brush."""
         super().explain()
         link = self._doc.link
         self.unit.setText(f"radius, {'µm' if link is None else link.frame.length}")
@@ -156,7 +156,7 @@ def _start(tool: str, ndisplay: int) -> str:
 
 
 class _Stroke:
-    """From the press of the mouse to its release: what it does to a mesh."""
+    """One stroke, from the press of the mouse to its release, and what it does to a mesh."""
 
     def __init__(
         self, tool: str, link: ViewerLink, mesh: Mesh, touch: Touch, event: Any, radius: float
@@ -174,11 +174,11 @@ class _Stroke:
 
     @property
     def mesh(self) -> Mesh:
-        """The mesh as it would be now."""
+        """The mesh with the shift so far."""
         return self.start.with_vertices(self.start.vertices_numpy() + self.shift)
 
     def move(self, event: Any) -> bool:
-        """Follow the mouse; whether that changed something."""
+        """Follow the mouse; returns whether that changed something."""
         if self._link.viewer.dims.ndisplay != self._ndisplay:
             return False  # another view: the mouse is somewhere else now
         if self.tool == "nudge":
@@ -205,7 +205,7 @@ class _Stroke:
 
 
 def touch_at(link: ViewerLink, mesh: Mesh, event: Any, reach: float) -> Touch | None:
-    """Where an event of the mouse touches a mesh that a link shows; in 2D, within a reach, um."""
+    """Where a mouse event touches a mesh that a link shows; in 2D, within a reach (um)."""
     place, dims = link.frame.place_of(event), link.viewer.dims
     if dims.ndisplay == 3:
         return touched_by_ray(mesh, place, link.frame.direction_of(event))
@@ -218,7 +218,7 @@ def touch_at(link: ViewerLink, mesh: Mesh, event: Any, reach: float) -> Touch | 
 
 
 def _in_plane(link: ViewerLink, event: Any, point: FloatArray) -> FloatArray:
-    """Where the mouse points to, in the plane of the view or the slice through a point, um."""
+    """Where the mouse points, um, in the plane of the view through a point, or in the slice."""
     place = link.frame.place_of(event)
     if link.viewer.dims.ndisplay == 3:
         along = link.frame.direction_of(event)

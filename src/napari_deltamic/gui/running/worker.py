@@ -1,4 +1,4 @@
-"""A fit as a task: what its thread does, and what it shows of that."""
+"""A fit as a task: what its thread does, and what of that is shown."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class FitRun(Task):
     # ------------------------------------------------------------------------------- the thread
 
     def steps(self) -> Generator[None, None, Outcome]:
-        """Yields after every iteration."""
+        """Run the fit in the thread; yields after every iteration."""
         self.stage = "preparing the seeds"
         with listening(self.step):
             job = self.job = self._prepare()
@@ -189,7 +189,7 @@ class FitRun(Task):
             self._publish(self.state, must=True)
 
     def _follow(self, state: FitState) -> None:
-        """The fit may have begun anew with another kind of PSF."""
+        """Update job and forecast if the fit has started again with another kind of PSF."""
         before = self.job
         assert before is not None
         self.job = following(before, state)
@@ -197,7 +197,7 @@ class FitRun(Task):
             self._forecast_anew(self.job)
 
     def _publish(self, state: FitState, *, marked: bool = False, must: bool = False) -> None:
-        """Let the main thread have a state, if it is time; always if a change led to it."""
+        """Hand a state to the main thread if it is time, and always if a change led to it."""
         rate, now = self._rate(), time.monotonic()
         if self.job is None or (now < self._due and not marked and not must):
             return
@@ -223,7 +223,7 @@ class FitRun(Task):
         return self._left
 
     def _rate(self) -> float:
-        """Iterations a second, lately: levels differ in speed."""
+        """Recent iterations per second, as levels differ in speed."""
         lately = self._lately
         lately.append((self.seconds, len(self.history.loss)))
         while len(lately) > 2 and lately[-1][0] - lately[1][0] > RATE_OVER:
@@ -232,7 +232,7 @@ class FitRun(Task):
         return count / seconds if seconds > 0 else 0.0
 
     def _taken(self, state: FitState) -> Change | None:
-        """The change that waits, if any; why it is refused is told."""
+        """The waiting change, if any; if it is refused, the reason is told."""
         taken, job = self.waiting.take(), self.job
         if taken is None or job is None:
             return None
@@ -258,7 +258,7 @@ class FitRun(Task):
         return change
 
     def _forecast_anew(self, job: FitInput) -> None:
-        """The settings were changed: forecast what is left of the fit with the new ones."""
+        """Forecast what is left of the fit after a change of settings."""
         found = self._forecaster(job)
         if isinstance(found, Forecast):
             self.forecast = RenewedForecast(found, len(self.history.level), self.seconds)

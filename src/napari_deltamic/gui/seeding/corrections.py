@@ -46,7 +46,7 @@ _BESIDE = "In 3D, click on a cell; what was missed is added on the slices."
 
 
 class Corrections(QObject):
-    """Corrects one of the Labels layers that are ticked: the active one, else the highest."""
+    """Corrects one of the ticked Labels layers: the active one, else the highest."""
 
     edited = Signal()  # labels were changed
 
@@ -80,7 +80,7 @@ class Corrections(QObject):
         return bool(self._waiting) or self._background.busy
 
     def renew(self) -> None:
-        """Look at the layers again: other ones may be ticked, or labels painted."""
+        """Look at the layers again, as others may be ticked, or labels painted."""
         layer = self.layer
         self.bar.setVisible(layer is not None)
         self._follow(layer)
@@ -110,7 +110,7 @@ class Corrections(QObject):
         self.undo_button.setToolTip(as_tip(_UNDO if able else "Nothing to undo."))
 
     def click(self, place: FloatArray) -> None:
-        """Use the tool at a place, um in the image's frame."""
+        """Use the tool at a place (3,), um in the image's frame."""
         tool, layer = self.bar.tool, self.layer
         if tool is None or layer is None:
             return
@@ -141,7 +141,7 @@ class Corrections(QObject):
         self.renew()
 
     def forget(self) -> None:
-        """Another image: what is under way is given up."""
+        """Give up what is under way, as another image is chosen."""
         self._waiting, self._corrector, self._first = [], None, None
         self._background.drop()
         self.bar.explain()
@@ -159,7 +159,7 @@ class Corrections(QObject):
         self.renew()
 
     def _listen(self, layer: Any) -> None:
-        """To clicks into a layer; to nothing for None."""
+        """Listen to clicks into a layer; for None, stop listening."""
         self._first = None  # two clicks merge cells of one layer
         self._clicked_in = layer
         self._presses.listen(layer is not None)
@@ -191,7 +191,7 @@ class Corrections(QObject):
     # --------------------------------------------------------------------------------- the work
 
     def _next(self) -> None:
-        """Make what waits longest; what cannot be done is told."""
+        """Start the click that has waited longest; errors are told."""
         while self._waiting and not self._background.busy:
             try:
                 self._start(*self._waiting.pop(0))
@@ -216,7 +216,7 @@ class Corrections(QObject):
         self._background.ask(work, partial(self._show, layer, layer.data))
 
     def _show(self, layer: Any, data: Any, found: _Found) -> None:
-        """Other labels for those that a layer had, if it still has that array."""
+        """Put corrected labels into a layer if it still holds the same array."""
         self.bar.explain()
         if layer in self._viewer.layers and layer.data is data:  # not replaced meanwhile
             _put(layer, found.labels, found.changed)
@@ -232,14 +232,14 @@ class Corrections(QObject):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What clicks led to: labels, and the voxels that have other ones."""
+    """What clicks led to: the labels, and the voxels where they changed."""
 
     labels: NDArray[np.int32]
     changed: tuple[NDArray[np.intp], ...]
 
 
 def _corrected(corrector: Callable[[], Corrector], labels: Any, clicks: list[Click]) -> _Found:
-    """The work of clicks, in a thread."""
+    """Apply clicks to labels; runs in a thread."""
     found = corrector().corrected(labels, clicks)
     return _Found(found, np.nonzero(found != labels))
 
@@ -285,6 +285,6 @@ def middle_on_ray(layer: Any, event: Any, frame: Frame) -> FloatArray | None:
 
 
 def _without_numbers(message: str) -> str:
-    """Of a click that was only just made, the user needs no number."""
+    """A message without the numbers of clicks, which were made only just now."""
     both = re.sub(r"clicks \d+ and \d+", "both clicks", message)
     return re.sub(r"click \d+", "that click", both)

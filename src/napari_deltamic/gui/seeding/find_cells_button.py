@@ -1,4 +1,4 @@
-"""Cells found without a click: a Labels layer that can be corrected, and is then the seeds."""
+"""Cells found without a click: a Labels layer that can be corrected, and becomes the seeds."""
 
 from __future__ import annotations
 
@@ -63,17 +63,17 @@ class _Found:
     visible: bool = True
 
     def of_size(self, voxel_size: tuple[float, ...]) -> bool:
-        """Whether lengths are what they were, as the image has these voxels."""
+        """Whether the voxel size is still the one with which the cells were found."""
         return bool(np.allclose(self.voxel_size, voxel_size, rtol=1e-3, atol=0))
 
     @property
     def of_other_pixels(self) -> bool:
-        """Whether the image has other pixels now."""
+        """Whether the image's pixels have been replaced since."""
         image = self.image()
         return image is not None and self.pixels() is not image.data
 
     def told(self, voxel_size: tuple[float, ...]) -> str:
-        """What is said of them."""
+        """The message on the found cells."""
         if not self.size:
             return f"{self.count}."
         if self.of_other_pixels:
@@ -83,7 +83,7 @@ class _Found:
         return f"Found {self.count} of about {self.size}."
 
     def note(self) -> None:
-        """In the layer itself, for a window that is opened later, and for sessions."""
+        """Store the facts in the layer's metadata, for a window opened later, and for sessions."""
         image = self.image()
         self.layer.metadata.setdefault(OWN, {})[FOUND] = {
             "image": "" if image is None else str(image.unique_id),
@@ -95,7 +95,7 @@ class _Found:
 
     @classmethod
     def noted(cls, layer: Any, layers: Sequence[Any]) -> _Found | None:
-        """What a layer tells, where its image is one of some layers."""
+        """What a layer's metadata store, if its image is one of some layers; else None."""
         own = layer.metadata.get(OWN, {}) if isinstance(layer, Labels) else {}
         noted: Any = own.get(FOUND)
         try:
@@ -109,7 +109,7 @@ class _Found:
 
 
 def be_found_in(layer: Any, image: Any) -> None:
-    """Cells that were found, and saved with their image, are those of its layer."""
+    """Link found cells that were saved with their image to the image's layer."""
     noted = layer.metadata.get(OWN, {}).get(FOUND)
     if isinstance(noted, dict):
         noted["image"] = str(image.unique_id)
@@ -155,11 +155,11 @@ class FindCells(QPushButton):
 
     @property
     def tried(self) -> bool:
-        """Whether its slider is of use yet."""
+        """Whether cells were looked for, or the slider moved, so that showing it is of use."""
         return self._moved or bool(self.message)
 
     def start(self) -> None:
-        """Look for cells in the image chosen; what is under way is given up."""
+        """Look for cells in the chosen image; a search under way is given up."""
         try:
             frame, read = self._image.frame(), self._image.reader()
         except InputError as error:
@@ -174,7 +174,7 @@ class FindCells(QPushButton):
     def suit(
         self, shape: tuple[int, ...], voxel_size: tuple[float, ...], *, same: bool = False
     ) -> None:
-        """Another image: what was asked of the last one, and found in it, is of no use.
+        """Adapt to another image: what was asked of, or found in, the last one is put away.
 
         Unless it is another channel of the same stack: nuclei that were found mark its cells.
 
@@ -195,13 +195,13 @@ class FindCells(QPushButton):
         self._moved, self._sizes = False, []
 
     def forget(self) -> None:
-        """Give up what is under way, and why nothing came of it: the image is not what it was."""
+        """Give up a search, and clear the reason for a failed one, as the image has changed."""
         if self.background.busy or self._refused:
             self.background.drop()
             self._tell("")
 
     def edited(self, event: Any = None) -> None:
-        """Labels were edited: cells that touch now differ too, and there may be more or fewer."""
+        """Labels were edited: renew colours and the count of cells."""
         found = self._in_use
         if found is not None and found.layer in self._viewer.layers:
             labels = found.layer.data
@@ -216,7 +216,7 @@ class FindCells(QPushButton):
         self.start()
 
     def _show(self, image_layer: Any, frame: Frame, wanted: float | None, result: Any) -> None:
-        """The cells found in an image; wanted: of which size (um), None for any."""
+        """Show the cells found in an image; wanted : size that was asked for, um; None for any."""
         size, labels = result.size, result.labels
         if image_layer not in self._viewer.layers:
             self._tell("")
@@ -243,7 +243,7 @@ class FindCells(QPushButton):
         self._cells.choose(layer)
 
     def _use_those_of(self, image: Any) -> None:
-        """What was found in an image is ticked and seen again; that of another one is not."""
+        """Tick and show what was found in an image; untick and hide what was found in another."""
         old, new = self._in_use, self._found.get(image)
         if old is not None and new is None and self._marks(old, image):
             new = old
@@ -261,7 +261,7 @@ class FindCells(QPushButton):
             new.layer.visible = new.visible
 
     def _marks(self, found: _Found, image: Any) -> bool:
-        """Whether it was found in another channel of the stack of an image."""
+        """Whether cells were found in another channel of the same stack as an image."""
         there = found.image()
         return there is not None and there is not image and of_one_stack(there, image)
 
@@ -272,7 +272,7 @@ class FindCells(QPushButton):
         self._tell(found.told(voxel_size), found.others if same else ())
 
     def _look_again(self) -> None:
-        """The image may have other pixels than those that the cells were found in."""
+        """Update the message, as the image's pixels may have been replaced."""
         found, layer = self._in_use, self._image.layer
         if found is None or layer is None or self.background.busy or self._refused:
             return
@@ -282,7 +282,7 @@ class FindCells(QPushButton):
                 self._say(found, size)
 
     def _layer_for(self, image: Any, frame: Frame, labels: NDArray[np.int32]) -> Any:
-        """The layer of the last time in this image if it still lies on it, else a new one."""
+        """The layer of the last search in this image if it still lies on it, else a new one."""
         known, options = self._found.get(image), frame.image_options()
         old = None if known is None else known.layer
         if (
@@ -304,7 +304,7 @@ class FindCells(QPushButton):
         return layer
 
     def _layer_added(self, event: Any) -> None:
-        """Of a session, perhaps: its cells belong to their image."""
+        """Take up a layer that was added, perhaps by a session, if it holds found cells."""
         found = self._adopt(event.value)
         if found is not None and found.image() is self._image.layer:
             self._in_use = found
@@ -312,7 +312,7 @@ class FindCells(QPushButton):
             self._say(found, self._image.frame().voxel_size)
 
     def _adopt(self, layer: Any) -> _Found | None:
-        """Take a layer for what was found in its image, if it says so, and none else is."""
+        """Take a layer as the cells found in its image if it says so, and there is no other."""
         found = _Found.noted(layer, self._viewer.layers)
         image = None if found is None else found.image()
         if found is None or image is None or image in self._found:
@@ -325,7 +325,7 @@ class FindCells(QPushButton):
         return found
 
     def _layers_changed(self, event: Any = None) -> None:
-        """What was found is of no interest once its layer is gone."""
+        """Forget what was found once its layer is removed."""
         for image in [image for image, one in self._found.items() if one.layer is event.value]:
             del self._found[image]
         if self._in_use is not None and self._in_use.layer is event.value:
@@ -373,7 +373,7 @@ def _replace(layer: Any, labels: NDArray[np.int32]) -> None:
 
 
 def _in_few_bytes(labels: NDArray[np.int32]) -> NDArray[Any]:
-    """A copy."""
+    """A copy in the smallest type of integers that holds all labels."""
     low, high = int(labels.min(initial=0)), int(labels.max(initial=0))
     return labels.astype(np.result_type(np.min_scalar_type(low), np.min_scalar_type(high)))
 

@@ -28,7 +28,7 @@ _TIP = (
 
 
 class Preview(QCheckBox):
-    """The box that turns the preview on, and what it turns on; ``changed``: other problems."""
+    """The check box of the preview, and the preview; ``changed``: it found other problems."""
 
     changed = Signal()
 
@@ -52,20 +52,20 @@ class Preview(QCheckBox):
         return None if self._layers is None else self._layers.mesh
 
     def suit(self, shape: tuple[int, ...], size: tuple[float, ...]) -> None:
-        """On for images of which it is fast, off for others; unless the user has chosen."""
+        """Switch it on for images that are fast to preview, else off, unless the user chose."""
         if not self._user_chose:
             factors = coarsening(shape, size)
             coarse = np.prod(np.ceil(np.divide(shape, factors)))
             self.setChecked(self._preferred and bool(coarse <= SMALL))
 
     def prefer(self, on: bool) -> None:
-        """Whether it is on at first."""
+        """Set whether it is on at first."""
         self._preferred = on
         if not on and not self._user_chose:
             self.setChecked(False)
 
     def later(self) -> None:
-        """The points may be others: compute it anew, unless they change again at once."""
+        """Compute it again after points may have changed, once they no longer change."""
         wanted = self._wanted() if self.isChecked() else None
         if wanted is None:
             self.clear()
@@ -74,14 +74,14 @@ class Preview(QCheckBox):
             self.background.soon(partial(self._ask, wanted), WAIT)
 
     def clear(self) -> None:
-        """Show none until the points change."""
+        """Show no surfaces until the points change."""
         self.background.drop()
         self._key = None
         self._take_away()
         self._set_problems(())
 
     def _let_go(self) -> None:
-        """The window is closed."""
+        """Close down, as the window is closed."""
         if self._layers is not None:  # which stay, as the window may be gone
             self._layers.close()
         self._layers = None
@@ -128,7 +128,7 @@ class Preview(QCheckBox):
 
 
 def _found(points: FloatArray, read: Callable[[], NDArray[Any]], frame: Frame) -> Found:
-    """What the thread does."""
+    """Find the starting surfaces of points; runs in a thread."""
     image = read()
     return find(points, image, frame.grid(image.shape))
 

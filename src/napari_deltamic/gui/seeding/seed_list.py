@@ -1,4 +1,4 @@
-"""The layers that seeds may come from, each with a tick; and what may be wrong with seeds."""
+"""The layers that can give seeds, each with a tick; and remarks on the seeds."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Remarks(Note):
         self.linkActivated.connect(self.show_points)
 
     def show_remarks(self, remarks: list[Remark], busy: str = "") -> None:
-        """Show these, the first of many; or else what is under way."""
+        """Show the first of these remarks; without any, what is under way."""
         self.remarks = list(remarks)
         lines = []
         for index, remark in enumerate(remarks[:_REMARKS]):
@@ -116,5 +116,5 @@ class Remarks(Note):
         go_to(self._viewer, layer.data_to_world(layer.data[min(chosen)])[-3:])
 
     def forget(self) -> None:
-        """Let the layers go."""
+        """Release the layers."""
         self.remarks = []

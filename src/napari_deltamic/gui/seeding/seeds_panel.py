@@ -1,4 +1,4 @@
-"""Where the fit starts: any layers of points, labels and surfaces, mesh files, cells found."""
+"""Where the fit starts: layers of points, labels and surfaces, mesh files, found cells."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _WAIT = 100  # ms; changes that follow each other faster are looked at together
 
 
 class SeedsPanel(QGroupBox):
-    """Choice of the cells that a fit starts from."""
+    """Lets the user choose the cells that a fit starts from."""
 
     def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("2  Cells", parent)
@@ -58,7 +58,7 @@ class SeedsPanel(QGroupBox):
         self.shape.setCurrentText(_SPHERES if on else _FOLLOW)
 
     def place_seeds(self) -> None:
-        """A Points layer that takes clicks: one that is ticked, or a new one."""
+        """Let clicks place points in a Points layer: a ticked one, or a new one."""
         try:
             frame = self._image.frame()
         except InputError as error:
@@ -91,7 +91,7 @@ class SeedsPanel(QGroupBox):
             self._placing.ask(lambda: usable(things, before, read(), grid), then)
 
     def _add_points(self, of: int, image: tuple[Any, ...], places: Sequence[Triple]) -> None:
-        """Add points at places in so many things of an image, and say so."""
+        """Add points at places in an image, and say so; of : for how many things."""
         if image != self._image.key():
             self._doc.noted.emit("")
             return
@@ -117,7 +117,7 @@ class SeedsPanel(QGroupBox):
         self._note_points(text)
 
     def _note_points(self, text: str) -> None:
-        """Say something that holds as long as the layer of the points is there."""
+        """Show a text that holds as long as the points' layer exists."""
         self._added = self._points_layer(), text
         self._doc.noted.emit(text)
 
@@ -127,7 +127,7 @@ class SeedsPanel(QGroupBox):
             self._added = None
 
     def finish_placing(self, keep_preview: bool = False) -> None:
-        """Clicks move the view again; the preview goes, or stays until there is room to be made."""
+        """Let clicks move the view again; the preview goes, or stays until :meth:`make_room`."""
         self.corrections.bar.use(None)
         for layer in self._viewer.layers:
             if isinstance(layer, Points) and str(layer.mode) == "add":
@@ -138,7 +138,7 @@ class SeedsPanel(QGroupBox):
         self._show()
 
     def make_room(self) -> None:
-        """The meshes of a fit are there: hide what would cover them, until seeds are edited."""
+        """Hide what would cover the meshes of a fit, until seeds are edited."""
         self._used = True
         self.preview.clear()
         for layer in self.cells.ticked:
@@ -289,13 +289,13 @@ class SeedsPanel(QGroupBox):
             self._later.start()
 
     def _remarked(self, warning: Warning) -> None:
-        """What was left out or mended when cells were made for a fit holds as long as they do."""
+        """Keep a remark on what was left out of, or repaired in, the cells until these change."""
         if isinstance(warning, RepairWarning) and self._open:
             self.cells.be_told(str(warning))
             self._show_remarks()
 
     def _look(self) -> None:
-        """Whatever follows from the seeds, once they lie still."""
+        """Update whatever depends on the seeds, once they no longer change."""
         if not self._open:
             return
         self.preview.later()
@@ -335,13 +335,13 @@ class SeedsPanel(QGroupBox):
                 self._doc.warned.emit(remark)
 
     def _drawn_radius(self) -> float:
-        """um; a point that is no sphere is drawn small, but over several slices."""
+        """Radius to draw points with, um; small unless for spheres, but over several slices."""
         return float(self.radius.value()) * (1.0 if self.cells.spheres else 0.25)
 
     # ------------------------------------------------------------------------ notes and remarks
 
     def _points_layer(self) -> Any:
-        """Which takes clicks: the one that is selected, else the highest."""
+        """The Points layer that takes clicks: the selected one, else the highest, if any."""
         points = [layer for layer in self.cells.points_layers() if not made_by_fit(layer)]
         return chosen_of(self._viewer, points)
 

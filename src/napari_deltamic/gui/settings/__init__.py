@@ -1,1 +1,1 @@
-"""What is chosen of a fit: how careful it is, the PSF, the corrections."""
+"""Panels for the choices of a fit: how careful it is, the PSF, the corrections."""

@@ -86,7 +86,7 @@ class AccuracyDial(QComboBox):
 
 
 class AccuracyForecast(QObject):
-    """Says what the dial stands for, how long a fit will take, and how long an iteration does."""
+    """Says what the dial stands for, and how long a fit and an iteration will take."""
 
     number_changed = Signal(object)  # what the dial stands for; None where that is not known
     predicts = Signal(str)
@@ -110,12 +110,12 @@ class AccuracyForecast(QObject):
         self.later()
 
     def later(self) -> None:
-        """Something may be different: forecast anew, unless it changes again at once."""
+        """Forecast again after a possible change, once nothing changes any more."""
         self._show_number()
         self.background.soon(self._ask, WAIT)
 
     def _image_changed(self) -> None:
-        """How fast the last run was, is of its image."""
+        """Clear the speed of the last run if another image is chosen."""
         before, self._image = self._image, self._doc.image.key()[:1]
         if self._image != before and not self._doc.running:
             self.last_run.emit("")
@@ -147,7 +147,7 @@ class AccuracyForecast(QObject):
         self.predicts.emit(predicted(expected.after(known)))
 
     def _show_number(self) -> None:
-        """What the dial stands for, where that is known and something."""
+        """Show the number that the dial stands for, if it is known."""
         choice, noise, number = self._choice.accuracy, self.noise.known, None
         if noise is not None or not relative(choice):
             with suppress(InputError):
@@ -157,7 +157,7 @@ class AccuracyForecast(QObject):
     # --------------------------------------------------------------------------- during a run
 
     def _work_changed(self) -> None:
-        """A fit starts."""
+        """React to the start of a fit."""
         if self._doc.running:
             self.background.drop()
             self._fitted = self._doc.image.key()
@@ -167,7 +167,7 @@ class AccuracyForecast(QObject):
             self.last_run.emit("")
 
     def _running(self, snapshot: Snapshot) -> None:
-        """What the run itself forecasts; it knows its surfaces, and what was changed since."""
+        """Show the forecast of the run itself, which knows its surfaces and later changes."""
         forecast = self._doc.run.forecast
         whole = forecast.forecast if isinstance(forecast, RenewedForecast) else forecast
         if whole is not self._told and isinstance(whole, Forecast):
@@ -186,7 +186,7 @@ class AccuracyForecast(QObject):
         self.later()
 
     def _learn(self, run: FitRun, forecast: Forecast) -> None:
-        """From a run whose settings stayed as they were: the next is predicted by it."""
+        """Learn from a run whose settings did not change, to predict the next one."""
         state = run.state
         found = None if state is None else forecast.experience(run.history, state, run.seconds)
         # A fit that was stopped tells nothing of how many iterations it needs.
@@ -219,7 +219,7 @@ class TradeoffView(QWidget):
         self.button.began.connect(self._show)
 
     def show_accuracy(self, accuracy: float | None) -> None:
-        """Mark the accuracy that the dial stands for; None where that is not known."""
+        """Mark the accuracy that the dial stands for; None if it is not known."""
         self._accuracy = accuracy
         self._show()
 
@@ -264,7 +264,7 @@ class TradeoffView(QWidget):
         self.progress.say(text if reason or reason is None or slow else "")
 
     def look(self) -> None:
-        """Something was edited: are these the ways of what is shown?"""
+        """After an edit, mark the ways as outdated unless they belong to what is shown."""
         if self.ways and not self.button.busy:
             stale = self.button.stale
             if stale or self.progress.text() == _STALE:
@@ -282,14 +282,14 @@ def predicted(forecast: Forecast) -> str:
 
 
 def scene_key(doc: Document) -> tuple[Any, ...]:
-    """The same as long as image, voxel size and PSF are."""
+    """A key that is equal as long as image, voxel size and PSF are the same."""
     layer = doc.image.layer
     size = None if layer is None else tuple(layer.scale)
     return *doc.image.key(), size, doc.settings.psf_key()
 
 
 def scene_now(doc: Document) -> SceneNow:
-    """The scene as it is chosen; touches no voxel. InputError if something is missing."""
+    """The scene as chosen, without reading voxels. InputError if something is missing."""
     image, frame = doc.image, doc.image.frame()
     seeds = doc.cells.seeds(frame, copied=False)
     return SceneNow(
@@ -304,7 +304,7 @@ def scene_now(doc: Document) -> SceneNow:
 
 
 def _known_surfaces(doc: Document, points: int) -> Mesh | None:
-    """What the preview shows, else what the fit of this image has or found."""
+    """The surfaces of a preview, else those of a running or finished fit of this image."""
     if doc.cells.preview_mesh is not None:
         return doc.cells.preview_mesh
     present, link = doc.present(), doc.link
@@ -315,7 +315,7 @@ def _known_surfaces(doc: Document, points: int) -> Mesh | None:
 
 
 def _timed(scene: SceneNow, question: Question) -> Generator[None, None, str]:
-    """Times each way to render a scene."""
+    """Time each way to render a scene; runs in a thread."""
     accuracy = accuracy_of(scene.choice, image_noise(scene.pixels()))
 
     def count(done: int, of: int) -> None:

@@ -86,7 +86,7 @@ class EffectsPanel(QWidget):
     # ------------------------------------------------------------------------------- evidence
 
     def asked(self) -> tuple[Callable[[], FitInput], FitState | None]:
-        """What puts a fit together, and its last state where there is one of these very settings.
+        """A function that puts a fit together, and its last state if it has the same settings.
 
         That is the fit of this image, else one of the cells. InputError where there is neither.
         """
@@ -115,7 +115,7 @@ class EffectsPanel(QWidget):
         return (lambda: start_there(optics=optics_of(scene))), None
 
     def show_found(self, found: Recommendation | None) -> None:
-        """Show what the image calls for; None: nothing is known."""
+        """Show what the image calls for; None if that is not known."""
         self.found = found
         self.table.show_evidence(found.evidence if found else ())
         lines = [] if found is None else [*found.remarks, *_camera(found.camera)]
@@ -145,7 +145,7 @@ class EffectsPanel(QWidget):
             self.look()
 
     def look(self) -> None:
-        """Something was edited: evidence of something else is put away, until that is back."""
+        """After an edit, put away evidence that belongs to other settings, until these are back."""
         if self._kept is None or self.button.busy:
             return
         if self.button.stale:
@@ -155,7 +155,7 @@ class EffectsPanel(QWidget):
             self.show_found(self._kept)
 
     def _open_recommendations(self) -> list[str]:
-        """What is recommended and not ticked."""
+        """The effects that are recommended but not ticked."""
         found = self.found.recommended if self.found is not None else ()
         return [name for name in found if name not in self._choice.effects.names]
 
@@ -200,7 +200,7 @@ class EffectsPanel(QWidget):
 def _check(
     prepare: Callable[[], FitInput], fitted: FitState | None, question: Question
 ) -> Generator[None, None, Recommendation]:
-    """Which effects an image calls for.
+    """Judge which effects an image calls for; runs in a thread.
 
     prepare : puts the fit together.
     fitted : its last state, where there is one of these very settings.
@@ -216,7 +216,7 @@ def _check(
 
 
 def _camera(camera: Camera) -> list[str]:
-    """What the image tells about its camera, in a line; none where it tells nothing."""
+    """Lines on what the image tells about its camera: one, or none."""
     numbers = (("gain", camera.gain), ("read noise", camera.read_noise), ("offset", camera.offset))
     told = [f"{name} {finding.value:.3g}" for name, finding in numbers if finding.value is not None]
     return [f"camera, from the image: {', '.join(told)}"] if told else []

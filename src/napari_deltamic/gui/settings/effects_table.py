@@ -1,4 +1,4 @@
-"""The effects that there are, with boxes that take them and what speaks for each."""
+"""The table of effects, with a check box and the evidence for each."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _NAME = Qt.ItemDataRole.UserRole
 
 
 class EffectsTable(QTableWidget):
-    """One row an effect; ``ticked`` gives name and state when the user changes a box."""
+    """A table of effects; ``ticked`` gives name and state when the user changes a box."""
 
     ticked = Signal(str, bool)
     looked_at = Signal(str)  # the effect of the row chosen
@@ -52,12 +52,12 @@ class EffectsTable(QTableWidget):
         self._fill()
 
     def show_evidence(self, evidence: Iterable[Evidence]) -> None:
-        """Show what was found, recommended ones first; nothing where it is empty."""
+        """Show the evidence, recommended effects first."""
         self._evidence = {e.name: e for e in evidence}
         self._fill()
 
     def show_present(self, names: Iterable[str]) -> None:
-        """Tick the effects that are there, and no others."""
+        """Tick these effects, and no others."""
         self._present = frozenset(names)
         self._fill()
 
@@ -115,7 +115,7 @@ class EffectsTable(QTableWidget):
 
 
 def spoken(name: str) -> str:
-    """An effect in words."""
+    """The name of an effect in words."""
     return KINDS[name].title
 
 

@@ -1,4 +1,4 @@
-"""The choice of the PSF: a Gaussian, that of an objective, or that of a bead; and its picture."""
+"""The choice of the PSF: a Gaussian, from an objective, or from a bead; and its picture."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _SHOWN_FOR = {
 
 
 class OpticsPanel(QWidget):
-    """Kind of PSF and its numbers."""
+    """Lets the user choose the kind of PSF and its numbers."""
 
     described = Signal()  # :meth:`summary` may be another
 
@@ -106,7 +106,7 @@ class OpticsPanel(QWidget):
         return f"{name}, {more}" if more else name
 
     def _show_own_or_found(self) -> None:
-        """In the picture: what the fit of the image found, else the PSF of these fields."""
+        """Show in the picture the PSF that the image's fit found, else that of these fields."""
         present = self._doc.present()
         if present is None:
             self._show_own()
@@ -128,7 +128,7 @@ class OpticsPanel(QWidget):
         return None if fields is self.sigma else fields.settings()
 
     def _show(self, by_user: bool = False) -> None:
-        """Show what is chosen, and what follows from it where that is another PSF."""
+        """Show what is chosen, and if the PSF has changed, what follows from it."""
         if not by_user and not isinstance(self._choice.psf, InputError):
             self._show_fields(self._choice.psf)
         self._say_widths()
@@ -161,7 +161,7 @@ class OpticsPanel(QWidget):
         self.described.emit()
 
     def _say_widths(self) -> None:
-        """What the fields of a Gaussian are; of others, it is said how wide they are."""
+        """Say what the fields of a Gaussian mean; for other PSFs, how wide they are."""
         if self._choice.psf is None:
             text = "Standard deviations along Z, Y and X, µm."
             if self._choice.psf_is_open:
@@ -205,7 +205,7 @@ class OpticsPanel(QWidget):
 
 
 def _built(settings: Any) -> Any:
-    """The PSF, whose width, which it keeps, takes a while too."""
+    """The PSF, with its width already computed, as that takes a while, too."""
     optics = settings.build()
     assert optics.sigma_um
     return optics
@@ -225,7 +225,7 @@ class ObjectiveFields(Form):
         self._show_rows()
 
     def settings(self) -> MicroscopeOptics:
-        """The settings shown. InputError where one is missing."""
+        """The settings shown. InputError if one is missing."""
         free = self._fitted and tuple(name for name in self._fitted if self._needs(name))
         found: dict[str, Any] = {"kind": "microscope", "fitted": free}
         found |= {name: value for name, value in self.values().items() if self._needs(name)}
@@ -277,7 +277,7 @@ class MeasuredFields(QWidget):
         self.form.edited.connect(self.edited)
 
     def settings(self) -> MeasuredOptics:
-        """The settings shown. InputError where there is no image."""
+        """The settings shown. InputError if there is no image."""
         if not self.file:
             raise InputError("choose the image of a bead")
         values = self.form.values()
@@ -337,18 +337,18 @@ class PsfPicture(QLabel):
         return self._timer.isActive() or self._background.busy
 
     def show_optics(self, optics: Optics) -> None:
-        """Show a PSF soon; of several, the last."""
+        """Show a PSF soon; if called several times, the last one."""
         self._wanted = optics
         self._look_soon()
 
     def clear(self) -> None:
-        """There is no PSF that can be shown."""
+        """Show nothing, as there is no PSF."""
         self._wanted = None
         self._background.drop()
         self._drop("")
 
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Qt's; what was given meanwhile is looked at now."""
+        """Called by Qt: computes now what was given while it was hidden."""
         super().showEvent(event)
         self._look_soon()
 
@@ -384,11 +384,11 @@ class PsfPicture(QLabel):
 
 
 def _scaled(section: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """A square of the side of a picture; samples are not as long along both axes."""
+    """A section scaled to the square of a picture, as its samples differ in size along the axes."""
     square = resize(section, (_SIDE, _SIDE), order=1, anti_aliasing=True)
     return (255 * np.clip(square, 0, 1)).astype(np.uint8)
 
 
 def _noted_size(path: str) -> tuple[float, float, float] | None:
-    """The voxel size that a file notes, um. InputError if it cannot be read."""
+    """The voxel size in a file, um; None if it has none. InputError if it cannot be read."""
     return read_voxel_size(path) if Path(path).suffix.lower() != ".npy" else None

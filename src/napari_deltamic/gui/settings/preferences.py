@@ -30,7 +30,7 @@ def _readable(text: str) -> str:
 
 
 class Preferences(BaseModel):
-    """How a new widget is set.
+    """The settings of a new widget.
 
     fit : density and whether the PSF is fitted; the rest as always.
     accuracy : what the dial shows, a name or a number.

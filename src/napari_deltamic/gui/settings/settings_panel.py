@@ -1,4 +1,4 @@
-"""The fit: how careful, and, folded away, everything else that can be chosen of it."""
+"""The settings of a fit: how careful, and, folded away, everything else."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _OWN = ("accuracy", "shape_error", *_PSF, *_BRIGHTNESS)
 
 
 class SettingsPanel(QGroupBox):
-    """Everything of the settings that the widget shows.
+    """Shows all settings of a fit.
 
     ``advanced`` is the part that is shown elsewhere, folded away.
 
@@ -107,7 +107,7 @@ class SettingsPanel(QGroupBox):
         self.psf_fold.unfold()
 
     def _show_choices(self) -> None:
-        """What is chosen is told while its fields are folded away."""
+        """Summarise the choices while their fields are folded away."""
         psf = self.optics.summary()
         fitted = ", then fitted with the shapes" if self.fit_psf.isChecked() else ""
         if self._choice.psf_is_open:

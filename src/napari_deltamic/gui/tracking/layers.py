@@ -44,7 +44,7 @@ class TrackLayers(MeshLayers):
 
     @property
     def number(self) -> int:
-        """Of the frame that the viewer shows."""
+        """Number of the frame that the viewer shows, from 0."""
         steps = tuple(self.viewer.dims.current_step)
         return int(steps[-4]) if len(steps) > 3 else 0
 
@@ -57,7 +57,7 @@ class TrackLayers(MeshLayers):
         return None if self.result is None else self.result.mesh
 
     def show(self, results: Sequence[FrameResult]) -> None:
-        """Show these frames; one that is new is moved to if the one before it was looked at."""
+        """Show these frames; move on to a new one if the one before it was shown."""
         news = [r.frame for r in results if r.frame not in self.results]
         self.results = {r.frame: r for r in results}
         meshes = [r for r in results if r.mesh is not None]

@@ -35,7 +35,7 @@ from .track_work import Frames, TrackWork, times_tracked
 
 
 class TrackPanel(QGroupBox):
-    """Tracks the series that is chosen, and shows it in the viewer; there for images over time."""
+    """Tracks the chosen series, and shows it in the viewer; visible only for images over time."""
 
     def __init__(self, doc: Document, parent: QWidget | None = None) -> None:
         super().__init__("Track", parent)
@@ -84,7 +84,7 @@ class TrackPanel(QGroupBox):
 
     @property
     def results(self) -> list[FrameResult]:
-        """Those that are shown."""
+        """The results of the run that is shown."""
         return [] if self._shown is None else list(self._shown.results)
 
     @property
@@ -93,7 +93,7 @@ class TrackPanel(QGroupBox):
         return self._before or self.work
 
     def start(self) -> None:
-        """Track from the frame shown; says in plain words what is missing."""
+        """Track from the frame shown; if something is missing, the user is told what."""
         if not self._doc.busy():
             attempt(self._start, self._complain)
 
@@ -104,7 +104,7 @@ class TrackPanel(QGroupBox):
             self._launch(work.prepare, work.images, work.frames, self.results)
 
     def go_to_worst(self) -> None:
-        """Move to the frame whose surfaces are least sure, and to where they move."""
+        """Go to the frame with the least certain surfaces, and to where they still move."""
         worst, layers = worst_of(self.results), self.layers
         if worst is None or layers is None:
             return
@@ -125,7 +125,7 @@ class TrackPanel(QGroupBox):
         self._doc.told.emit(f"saved {folder}")
 
     def saved(self) -> SavedTracks | None:
-        """What a session keeps of the series, as it is chosen; None if that was not tracked."""
+        """What a session keeps of the chosen series; None if it was not tracked."""
         work, layers = self._shown, self.layers
         if layers is None or work is None or work.job is None or not work.results:
             return None
@@ -143,7 +143,7 @@ class TrackPanel(QGroupBox):
         )
 
     def reopen(self, tracks: SavedTracks) -> None:
-        """Show what a session kept, of the image chosen, as if it had just been tracked."""
+        """Show what a session kept of the chosen image, as if it had just been tracked."""
         image, images = self._doc.image, Frames(tracks.pixels)
         frame, tracking = image.frame(), tracks.settings.track
         job = _reopened(tracks, frame, images)
@@ -156,18 +156,18 @@ class TrackPanel(QGroupBox):
         self.note_saved(tracks.results)
 
     def note_saved(self, results: Sequence[FrameResult]) -> None:
-        """These frames are in files now."""
+        """Note that these frames are saved in files."""
         self._kept = tuple(results) or self._kept
 
     def _unsaved(self) -> str:
-        """What would be lost with the window; while it tracks, the run tells that."""
+        """A text on what closing the window would lose; '' for nothing, or if the run tells."""
         known = {id(result) for result in self._kept}
         if isinstance(self._doc.work.task, TrackWork) or all(id(r) in known for r in self.results):
             return ""
         return "The table of the tracked times would be lost; their surfaces stay in the viewer."
 
     def _let_go(self) -> None:
-        """The window is closed."""
+        """Close the layers, as the window is closed."""
         if self.layers is not None:
             self.layers.close()
 
@@ -219,7 +219,7 @@ class TrackPanel(QGroupBox):
         self.work, self._before = work, before
 
     def _show_in(self, image_layer: Any, frame: Frame) -> TrackLayers:
-        """Layers of an earlier run give way, or two surfaces would lie on each other."""
+        """New layers in place of those of an earlier run, else two surfaces would overlap."""
         if self.layers is not None:
             self.layers.remove()
         self.layers = TrackLayers(self._doc.viewer, image_layer, frame, self._show_frame)
@@ -266,7 +266,7 @@ class TrackPanel(QGroupBox):
         self._show_frame()
 
     def _show_worst(self, text: str, verdict: str) -> None:
-        """How it ended, in the colour of the frame that went worst."""
+        """Show how it ended, in the colour of the worst frame."""
         worst = worst_of(self.results)
         self.worst_button.setVisible(worst is not None)
         if worst is not None:
@@ -297,7 +297,7 @@ class TrackPanel(QGroupBox):
         self._show_first()
 
     def _show_first(self, event: Any = None) -> None:
-        """Which times would be left out, as tracking starts at the one shown."""
+        """Say which times would be left out, as tracking starts at the one shown."""
         doc, layers = self._doc, self.layers
         time = (0,) if doc.image.layer is None else doc.image.time
         tracked = layers is not None and layers.image_layer is doc.image.layer and layers.results
@@ -311,7 +311,7 @@ class TrackPanel(QGroupBox):
         self._doc.viewer.dims.set_current_step(self._doc.viewer.dims.ndim - 4, 0)
 
     def _show_frame(self) -> None:
-        """The cells of the frame that is shown, and what happened in it."""
+        """Show the cells of the frame shown, and what happened in it."""
         layers = self.layers
         result = None if layers is None else layers.result
         for widget in (self.frame, self.save_button):
@@ -352,7 +352,7 @@ class TrackPanel(QGroupBox):
 
 
 def worst_of(results: Sequence[FrameResult]) -> FrameResult | None:
-    """The frame whose surfaces are least sure; None where all are good, or not judged, and rest."""
+    """The frame with the least certain surfaces; None if all rest and are good, or not judged."""
 
     def doubt(result: FrameResult) -> tuple[int, bool]:
         grade = GRADES.index(result.grade) if result.grade in GRADES else 0

@@ -1,4 +1,4 @@
-"""Tracking as a task: what its thread does, and what it shows of that."""
+"""Tracking as a task: what its thread does, and what of that is shown."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class TrackWork(Task):
         on_frame: Callable[[Sequence[FrameResult]], None],
         on_end: Callable[[Outcome], None],
     ) -> TrackWork:
-        """One that a session kept, as if it had just ended; job : of its first frame."""
+        """A run that a session kept, as if it had just ended; job : fit of its first frame."""
         left = range(tracks.settings.track.first, len(images))
         work = cls(lambda: job, images, left, tracks.results, on_frame, on_end)
         work.job, work.seconds, work.running = job, tracks.seconds, False
@@ -95,7 +95,7 @@ class TrackWork(Task):
 
     @property
     def settings(self) -> TrackRun:
-        """Of the whole, once it is prepared."""
+        """The settings of the whole run; only once it is prepared."""
         settings = None if self.job is None else self.job.settings
         assert isinstance(settings, TrackRun)
         return settings
@@ -118,7 +118,7 @@ class TrackWork(Task):
         return Outcome("failed", words_of(error))
 
     def steps(self) -> Generator[None, None, Outcome]:
-        """Yields after every iteration."""
+        """Track in the thread; yields after every iteration."""
         began, done = time.monotonic(), list(self.results)
         with listening(self.step):
             job = self.job = self.prepare()
@@ -147,7 +147,7 @@ class TrackWork(Task):
 
 
 def times_tracked(results: Sequence[FrameResult], of: int) -> str:
-    """Which times of a series of so many were tracked."""
+    """A text on which times of a series of ``of`` were tracked."""
     first, last = results[0].frame, results[-1].frame
     if (first, last) == (0, of - 1):
         return f"{counted(of, 'time point')} tracked"

@@ -24,7 +24,7 @@ FILE = "file"  # key under OWN
 
 @dataclass(frozen=True)
 class LoadedMesh:
-    """A mesh from a file, and how it could be known again.
+    """A mesh from a file, and a mark by which it is recognised later.
 
     mark : of the file and of what was read from it.
     remarks : what had to be repaired, in plain words.
@@ -42,7 +42,7 @@ def load_meshes(paths: list[str]) -> list[LoadedMesh]:
 
 
 def surface_layer(loaded: LoadedMesh, frame: Frame) -> Surface:
-    """A layer of a mesh whose coordinates are um in a frame."""
+    """A Surface layer of a mesh whose coordinates are um in a frame."""
     mesh = loaded.mesh
     return Surface(
         # Not float32: a fit of the layer is then that of the file, to the last digit.
@@ -62,7 +62,7 @@ def surface_layer(loaded: LoadedMesh, frame: Frame) -> Surface:
 
 
 def unchanged_file(layer: Any, frame: Frame) -> str:
-    """The file that a layer was made from if it would give the same seeds; else ''.
+    """The file that a layer was made from, if it would still give the same seeds; else ''.
 
     The layer may have been edited or moved since, and so may the file.
     """
@@ -78,7 +78,7 @@ def unchanged_file(layer: Any, frame: Frame) -> str:
 
 
 def labels_options(rows: Iterable[Mapping[str, Any]], frame: Frame, name: str) -> dict[str, Any]:
-    """How a Labels layer of cells is made, with their measurements."""
+    """Options of a Labels layer of cells, with their measurements as features."""
     return {
         **frame.image_options(),
         "axis_labels": _AXES,
@@ -101,7 +101,7 @@ def _load(path: str) -> LoadedMesh:
 
 
 def _mark(path: str, vertices: Any, faces: Any, regions: Any) -> str:
-    """Changes when the file or any of the arrays does; '' if there is no such file."""
+    """A mark that changes when the file or any of the arrays does; '' if the file is missing."""
     try:
         found = Path(path).stat()
     except OSError:

@@ -35,7 +35,7 @@ def _dimmed(colours: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _with_ghosts() -> Colormap:
-    """``BY_VALUE``, the same for what is not chosen, and greys for what has no number."""
+    """The colours of ``BY_VALUE``, dimmed ones for cells not chosen, and greys for no number."""
     bright, grey = np.asarray(BY_VALUE.colors, float), np.full((1, 4), _GREY)
     ghosts, grey[0, 3] = _dimmed(bright), 1.0
     pale = grey.copy()
@@ -56,7 +56,7 @@ _OF_NUMBERS = _with_ghosts()
 
 @dataclass(frozen=True)
 class ByValue:
-    """Cells coloured by a number of theirs, instead of each in its own colour.
+    """Colours of cells by a number of each, instead of a colour of its own for each.
 
     values : region -> number; those without one are grey.
     """
@@ -71,20 +71,20 @@ class ByValue:
         return low, high if high > low else low + max(abs(low), 1.0) * 1e-3
 
     def at(self, regions: Any) -> NDArray[np.float32]:
-        """The numbers of regions; NaN where there is none."""
+        """The numbers of regions; NaN for those without one."""
         names, inverse = np.unique(np.asarray(regions), return_inverse=True)
         known = np.array([self.values.get(int(name), np.nan) for name in names], np.float32)
         return known[inverse].reshape(np.shape(regions))
 
     def look(self) -> tuple[Colormap, tuple[float, float]]:
-        """The colormap of a surface with ``surface_values``, and its limits."""
+        """Colormap and contrast limits of a surface with ``surface_values``."""
         low, high = self.limits
         return _OF_NUMBERS, (low, low + _END * (high - low))
 
     def surface_values(
         self, sides: NDArray[np.int64], chosen: Collection[int] = ()
     ) -> NDArray[np.float32]:
-        """(n,) a value for vertices between some regions each, (n, k), as in ``side_values``."""
+        """(n,) values for vertices between regions (n, k), as in ``side_values``."""
         low, high = self.limits
         own = np.where(np.isin(sides, list(chosen)), sides, 0).max(axis=1)
         values, width = self.at(np.where(own > 0, own, sides.max(axis=1))), high - low
@@ -94,7 +94,7 @@ class ByValue:
         return shown.astype(np.float32)
 
     def rgba(self, regions: Any, chosen: Collection[int] = ()) -> NDArray[np.float64]:
-        """(n, 4) the colours of regions; where some are chosen, the others are dimmed."""
+        """Colours of regions, (n, 4) RGBA; if some are chosen, the others are dimmed."""
         low, high = self.limits
         share = (self.at(regions) - low) / (high - low)
         colours = np.asarray(BY_VALUE.map(np.nan_to_num(np.atleast_1d(share))), float)
@@ -125,7 +125,7 @@ def region_colormap() -> Colormap:
 
 
 def in_steps(colours: NDArray[np.float64], name: str) -> Colormap:
-    """Colours, (n, 4) RGBA, as a map: each over one n-th of the limits."""
+    """A colormap of n colours (n, 4) RGBA, each over one n-th of the limits."""
     if len(colours) == 1:
         colours = np.repeat(colours, 2, axis=0)  # a canvas draws by no fewer
     controls = np.linspace(0, 1, len(colours) + 1)
@@ -138,7 +138,7 @@ def surface_look() -> dict[str, Any]:
 
 
 def label_colormap(labels: NDArray[np.integer]) -> DirectLabelColormap:
-    """For a Labels layer: each label has the colour of the region that it becomes, where it can.
+    """A colormap for Labels that gives each label its region's colour, where possible.
 
     Labels lie side by side without a contour: two of one colour would look like one cell.
     """
@@ -148,7 +148,7 @@ def label_colormap(labels: NDArray[np.integer]) -> DirectLabelColormap:
 
 
 def vertex_values(mesh: Mesh) -> NDArray[np.float32]:
-    """(V,) a value for each vertex; where several regions meet, that of the largest number."""
+    """(V,) a value for each vertex; where regions meet, that of the highest region number."""
     largest = np.zeros(len(mesh.vertices), np.int64)
     np.maximum.at(largest, mesh.faces.ravel(), np.repeat(mesh.regions.max(axis=1), 3))
     return side_values(largest[:, None], (), colour_indices(mesh))
@@ -157,7 +157,7 @@ def vertex_values(mesh: Mesh) -> NDArray[np.float32]:
 def side_values(
     sides: NDArray[np.int64], chosen: Collection[int] = (), indices: Mapping[int, int] | None = None
 ) -> NDArray[np.float32]:
-    """(n,) a value for vertices that lie between some regions each, (n, k): of the largest one.
+    """(n,) values for vertices between regions (n, k): each that of the highest region number.
 
     Where some regions are chosen, all of their vertices have their colours, and the rest is dimmed.
     """
@@ -170,7 +170,7 @@ def side_values(
 
 
 def _places(regions: NDArray[np.int64], indices: Mapping[int, int] | None) -> NDArray[np.int64]:
-    """Places in the table of region numbers from 1."""
+    """Places of region numbers (from 1) in the table of colours."""
     plain: NDArray[np.int64] = (regions - 1) % len(COLOURS)
     if not indices:
         return plain

@@ -20,7 +20,7 @@ _OFF = 1.1  # a width is set anew where it is off by this factor: that takes as 
 
 
 class Contours:
-    """A layer with the section of a mesh and the present slice; empty in 3D.
+    """A layer with the section of a mesh by the present slice; empty in 3D.
 
     napari itself draws only the faces that lie wholly in a slice: for a fine mesh, none.
     """
@@ -50,7 +50,7 @@ class Contours:
         self.layer.events.edge_width.connect(self._width_chosen)
 
     def update(self, mesh: Mesh | None, viewer: Any) -> None:
-        """Show the section with the slice that a viewer, or its model, is at."""
+        """Show the section by the slice that a viewer, or its model, shows."""
         dims = viewer.dims
         axis = sliced_axis(dims)
         if mesh is None or axis is None:
@@ -73,32 +73,32 @@ class Contours:
         self._set(*self._two_coloured(vectors, mesh, faces, others))
 
     def off_width(self, viewer: Any) -> bool:
-        """Whether lines are shown that are no longer as wide on the screen as they should be."""
+        """Whether lines are shown whose width on the screen is no longer right."""
         return len(self.layer.data) > 0 and _is_off(self._width(viewer), self.layer)
 
     def _width(self, viewer: Any) -> float:
-        """um that a line has to be wide in a viewer."""
+        """Width that lines need in a viewer, um."""
         self._um_of_pixel = float(np.mean(self.frame.um)) / float(camera_of(viewer).zoom)
         return self._pixels * self._um_of_pixel
 
     def _width_chosen(self, event: Any = None) -> None:
-        """The user has chosen a width, which is kept from now on."""
+        """Keep a width that the user has chosen."""
         self._pixels = float(self.layer.edge_width) / self._um_of_pixel
 
     def position(self, dims: Any, axis: int) -> float:
-        """um: where the slice across an axis lies that the viewer's dims are at."""
+        """Position of the slice across an axis that the viewer's dims show, um."""
         # The slice that napari shows of the image is that of the nearest voxel.
         size = self.frame.voxel_size[axis]
         return float(round(self._point(dims, axis) / size) * size)
 
     def _point(self, dims: Any, axis: int) -> float:
-        """um: where the viewer is along an axis."""
+        """Position of the viewer along an axis, um."""
         return float((dims.point[axis - 3] - self.frame.translate[axis]) * self.frame.um[axis])
 
     def _two_coloured(
         self, vectors: NDArray[np.float32], mesh: Mesh, faces: NDArray[Any], others: list[int]
     ) -> tuple[NDArray[np.float32], NDArray[Any]]:
-        """The segments and the region of each; a wall is drawn once on each of its sides.
+        """Segments and the region of each; a wall is drawn on both of its sides.
 
         So the contour of each cell is closed, in its own colour.
         """
@@ -129,7 +129,7 @@ class Contours:
             layer.edge_color = self.colours_of(shown, self.chosen)
 
     def colours_of(self, regions: Any, chosen: Collection[int] = ()) -> NDArray[np.float64]:
-        """Of regions, (n, 4) RGBA; where some are chosen, the others are dimmed."""
+        """Colours of regions, (n, 4) RGBA; if some are chosen, the others are dimmed."""
         if self.by is not None:
             return self.by.rgba(regions, chosen)
         return region_colours(regions, chosen, self.colours)

@@ -46,7 +46,7 @@ class Frame:
 
     @classmethod
     def of(cls, layer: Any) -> Frame:
-        """The frame of an image layer, by its last three axes. InputError if it is turned."""
+        """The frame of an image layer, by its last three axes. InputError if it is rotated."""
         _check_straight(layer)
         um = um_per_unit(layer) or (1.0, 1.0, 1.0)
         size = np.asarray(layer.scale, float)[-3:] * um
@@ -65,7 +65,7 @@ class Frame:
         return replace(self, translate=triple(self.to_world(first)), box=box)
 
     def region(self, layer: Any, shape: tuple[int, ...]) -> tuple[slice, ...] | None:
-        """The voxels of this region in a layer of all the image, or of the region alone.
+        """The slices of this region in a layer of the whole image, or of the region alone.
 
         None where the layer lies on other voxels.
         """
@@ -84,28 +84,28 @@ class Frame:
 
     @property
     def shape(self) -> tuple[int, ...] | None:
-        """Voxels of the region; None for all of the image."""
+        """Shape of the region; None for the whole image."""
         return None if self.box is None else tuple(b - a for a, b in self.box)
 
     @property
     def length(self) -> str:
-        """What lengths are in; nobody has said how large the voxels are where it is voxels."""
+        """The unit of lengths: "voxels" if the voxel size is not known, else "µm"."""
         unknown = set(self.units) == {"pixel"} and set(self.voxel_size) == {1.0}
         return "voxels" if unknown else "µm"
 
     @property
     def size_in_words(self) -> str:
-        """How large the voxels are."""
+        """The voxel size in words."""
         if self.length == "voxels":
             return "voxels of unknown size"
         return "voxels of " + " x ".join(f"{d:.4g}" for d in self.voxel_size) + f" {self.length}"
 
     def has_size_of(self, layer: Any) -> bool:
-        """Whether the voxels of an image layer are as large as these; as fields show it."""
+        """Whether an image layer has this voxel size, to the digits that fields show."""
         return bool(np.allclose(voxel_size(layer), self.voxel_size, rtol=1e-3, atol=0))
 
     def has_place_of(self, layer: Any) -> bool:
-        """Whether an image layer with voxels of this size still lies where it did."""
+        """Whether an image layer with this voxel size still lies where it did."""
         try:
             shift = self.data_to_um(layer)[1]
         except InputError:  # it was turned
@@ -119,19 +119,19 @@ class Frame:
         return Grid((shape[0], shape[1], shape[2]), self.voxel_size)
 
     def to_um(self, world: ArrayLike) -> FloatArray:
-        """(n, 3) um from positions in the world."""
+        """Positions (n, 3) in um from world coordinates."""
         return (np.asarray(world, np.float64) - self.translate) * self.um
 
     def to_world(self, um: ArrayLike) -> FloatArray:
-        """(n, 3) positions in the world from um."""
+        """Positions (n, 3) in world coordinates from um."""
         return np.asarray(um, np.float64) / self.um + np.asarray(self.translate)
 
     def place_of(self, event: Any) -> FloatArray:
-        """(3,) um: where an event of the mouse lies."""
+        """Position of a mouse event, (3,) um."""
         return self.to_um(np.asarray(event.position, float)[-3:])
 
     def direction_of(self, event: Any) -> FloatArray:
-        """(3,) which way the view looks at an event of the mouse; not of length 1."""
+        """Viewing direction at a mouse event, (3,), not normalised."""
         # The axes lie along those of the world, if of another length.
         return np.asarray(event.view_direction, float)[-3:] * self.um
 
@@ -184,19 +184,19 @@ def go_to(viewer: Any, world: ArrayLike) -> None:
 
 
 def chosen_of(viewer: Any, layers: list[Any]) -> Any:
-    """Of some layers the one that is selected, else the highest; None where there are none."""
+    """The layer among these that is selected, else the highest; None if there are none."""
     active = viewer.layers.selection.active
     return active if active in layers else layers[-1] if layers else None
 
 
 def um_per_unit(layer: Any) -> Triple | None:
-    """um in one unit of a layer's last three axes; None if they are no lengths (pixels)."""
+    """Size of the units of a layer's last three axes, um; None if not lengths (pixels)."""
     found = [in_units(unit, "micrometer") for unit in layer.units[-3:]]
     return None if None in found else triple(found)
 
 
 def in_units(unit: Any, other: str) -> float | None:
-    """How many of another unit one is; None where they are of different kinds."""
+    """The factor from a unit to another one; None if they are of different kinds."""
     try:
         return float((1 * unit).to(other).magnitude)
     except (pint.DimensionalityError, pint.UndefinedUnitError):
@@ -204,12 +204,12 @@ def in_units(unit: Any, other: str) -> float | None:
 
 
 def voxel_size(layer: Any) -> Triple:
-    """Of an image layer, um, whichever way its axes run."""
+    """Voxel size of an image layer, um, whatever the direction of its axes."""
     return triple(np.abs(np.asarray(layer.scale, float)[-3:]) * (um_per_unit(layer) or (1.0,) * 3))
 
 
 def rescale(viewer: Any, layer: Any, scale: ArrayLike) -> None:
-    """Give a layer another scale; its slice, and what of it fills the canvas, stay as they are."""
+    """Give a layer another scale, keeping the slice and the part that fills the canvas."""
     old, new = np.array(layer.scale, float), np.array(scale, float)
     dims, camera = viewer.dims, camera_of(viewer)
     if dims.ndim < layer.ndim or layer not in viewer.layers:
@@ -231,7 +231,7 @@ def rescale(viewer: Any, layer: Any, scale: ArrayLike) -> None:
 
 
 def made_by_fit(layer: Any) -> bool:
-    """Whether a layer shows a fit, or the truth of a simulation: no input before it is chosen."""
+    """Whether a layer shows a fit, or the truth of a simulation, and so is no input by default."""
     own = layer.metadata.get(OWN, {})
     return bool(own.get("fit") or own.get(TRUTH))
 
@@ -244,7 +244,7 @@ def is_stack(layer: Any) -> bool:
 
 
 def data_of(layer: Any) -> Any:
-    """The voxels of a layer, at its finest resolution; unread where they are lazy."""
+    """The voxels of a layer at its finest resolution; not read if they are lazy."""
     return layer.data[0] if getattr(layer, "multiscale", False) else layer.data
 
 
@@ -262,7 +262,7 @@ def unread_stack_of(layer: Any, step: tuple[int, ...]) -> Any:
 
 
 def finite(data: Any) -> NDArray[Any]:
-    """An array whose gaps and padding are all NaN."""
+    """An array with NaN for all that is not finite, and for padding."""
     return finite_or_nan(without_padding(np.asarray(data))[0])
 
 

@@ -1,4 +1,4 @@
-"""Listening to a viewer and its mouse until that is undone; what is a click, and who wants it."""
+"""Listening to a viewer and its mouse, and stopping again; what counts as a click, and for whom."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MOVES_THE_VIEW = "pan_zoom"
 
 
 class Connections:
-    """Remembers what was connected to events of a viewer, so that nothing stays connected."""
+    """Remembers connections to events of a viewer, so that all can be undone."""
 
     def __init__(self) -> None:
         self._made: list[tuple[Any, Callable[..., None]]] = []
@@ -30,7 +30,7 @@ class Connections:
 
 
 def reference(data: Any) -> Callable[[], Any]:
-    """What gives the voxels of a layer, without keeping them where that is possible."""
+    """A function that gives voxels, without keeping them alive if possible."""
     try:
         return weakref.ref(data)
     except TypeError:
@@ -44,7 +44,7 @@ class Presses:
         self._all, self.callback = viewer.mouse_drag_callbacks, callback
 
     def listen(self, on: bool = True, *, first: bool = False) -> None:
-        """Listen, or do not; first: before all others."""
+        """Start or stop listening; first : before all other callbacks."""
         if self.callback in self._all:
             self._all.remove(self.callback)
         if on:
@@ -52,7 +52,7 @@ class Presses:
 
 
 def is_click(event: Any) -> Generator[None, None, bool]:
-    """Follows a press to its release; whether the mouse stayed where it was."""
+    """Follow a press to its release; returns whether the mouse stayed in place."""
     start = np.asarray(event.pos, float)
     yield
     while event.type == "mouse_move":
@@ -63,7 +63,7 @@ def is_click(event: Any) -> Generator[None, None, bool]:
 
 
 def wants_clicks(layer: Any) -> bool:
-    """Whether a layer, or None, has a tool in use: it would place, paint or move things."""
+    """Whether a layer has a tool in use that places, paints or moves things; False for None."""
     return str(getattr(layer, "mode", _MOVES_THE_VIEW)) != _MOVES_THE_VIEW
 
 

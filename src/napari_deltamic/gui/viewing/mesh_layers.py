@@ -71,36 +71,36 @@ class MeshLayers:
 
     @property
     def shown(self) -> Mesh | None:
-        """The mesh that is to be seen."""
+        """The mesh that is shown; None if there is none."""
         return self.mesh
 
     def take_time(self, time: tuple[int, ...] | None = None) -> None:
-        """From now on the meshes are those of a time point of a 4D image; None: the one shown."""
+        """Set the time point of a 4D image to which the meshes belong; None: the one shown."""
         if time is None:
             time = self.viewer.dims.current_step[:-3]
         self.time = tuple(int(step) for step in time) if self.image_layer.ndim > 3 else ()
 
     @property
     def at_time(self) -> bool:
-        """Whether the image shown is that of the meshes."""
+        """Whether the viewer shows the time point of the meshes."""
         return not self.time or tuple(self.viewer.dims.current_step[:-3]) == self.time
 
     @property
     def time_in_words(self) -> str:
-        """Of which time the meshes are, as the slider counts; '' of an image without times."""
+        """The time point of the meshes, as the slider counts; '' for an image without times."""
         return f"time {self.time[-1]}" if self.time else ""
 
     def with_time(self, title: str) -> str:
-        """A title that says of which time its contents are."""
+        """A title with the time point of the meshes."""
         return ", ".join(filter(None, (title, self.time_in_words)))
 
     @property
     def colours(self) -> Mapping[int, int]:
-        """Places in the palette of the regions shown; see ``colour_indices``."""
+        """Palette indices of the regions shown; see ``colour_indices``."""
         return self.contours.colours
 
     def highlight(self, regions: frozenset[int]) -> None:
-        """Dim all cells but some; none of them: show all alike."""
+        """Dim all cells except these; with none, show all alike."""
         if regions != self.contours.chosen:
             self.contours.chosen = regions
             self._dress()
@@ -115,7 +115,7 @@ class MeshLayers:
         self._colour_anew()
 
     def face_of(self, drawn: int) -> int | None:
-        """The face of the mesh shown that one of the surface layer is; None where there is none."""
+        """The face of the mesh to which a face of the surface layer belongs; None without any."""
         order = self._apart.order if self._apart is not None else ()
         return int(order[drawn]) if drawn < len(order) else None
 
@@ -124,19 +124,19 @@ class MeshLayers:
         self.connections.undo()
 
     def remove(self, but: Collection[Any] = ()) -> None:
-        """Close it, and take its layers away, but for some."""
+        """Close it, and remove its layers except some."""
         self.close()
         for layer in self.made():
             if self.has(layer) and layer not in but:
                 self.viewer.layers.remove(layer)
 
     def made(self) -> list[Any]:
-        """Those that it has made, from the top; None for one that is not there yet."""
+        """Its layers, from the top; None for one that is not made yet."""
         return [self.contours.layer, self.surface]
 
     @property
     def whole(self) -> bool:
-        """Whether the layers of the mesh are in the viewer, or not made yet."""
+        """Whether the layers of the mesh are all in the viewer, or not made yet."""
         return self.surface is None or (self.has(self.surface) and self.has(self.contours.layer))
 
     def has(self, layer: Any) -> bool:
@@ -144,14 +144,14 @@ class MeshLayers:
         return layer is not None and layer in self.viewer.layers
 
     def slice_changed(self, event: Any = None) -> None:
-        """Another slice, or view, is shown."""
+        """Update after another slice or view is shown."""
         self._place_surface()
         # napari slices no layer that is hidden, and then refuses colours for its new vectors.
         if self.has(self.contours.layer) and self.contours.layer.visible:
             self.contours.update(self.shown if self.at_time else None, self.viewer)
 
     def draw(self, mesh: Mesh, *, passing: bool = False) -> None:
-        """Show a mesh. A surface that is hidden is not told of one that is only passing.
+        """Show a mesh. A hidden surface is not updated for a mesh that is only passing.
 
         That takes as long as if it were to be seen. Of one that is only passing, a layer is made
         that is seen; the other one comes with the next: for each, napari takes a while.
@@ -167,7 +167,7 @@ class MeshLayers:
         self.slice_changed()
 
     def follow_image(self, chosen: bool) -> None:
-        """Be seen only while the image is the one chosen; what the user shows or hides stays so."""
+        """Show layers only while their image is chosen; what the user shows or hides stays so."""
         if chosen == self.of_chosen:
             return
         self.of_chosen = chosen
@@ -182,7 +182,7 @@ class MeshLayers:
         self._place_surface()
 
     def flat(self) -> list[Any]:
-        """The layers that show a mesh on slices, too."""
+        """The layers that show a mesh on slices."""
         return [self.contours.layer]
 
     def add(self, layer: Any, above: bool = False) -> None:
@@ -197,7 +197,7 @@ class MeshLayers:
         layers.selection = selected or {layer}
 
     def _colour(self, mesh: Mesh, *, passing: bool) -> None:
-        """Other colours where regions have other neighbours; boxes are only looked at anew now."""
+        """Choose colours anew if regions may have other neighbours; not for passing meshes."""
         if passing and self._colours_of is not None and _same(self._colours_of, mesh):
             return
         self._colours_of, found = mesh, colour_indices(mesh)
@@ -205,7 +205,7 @@ class MeshLayers:
             self.contours.colours, self._values = found, None
 
     def _dress(self, *, anew: bool = False) -> None:
-        """Give the surface the colormap that its values need; anew: after another one, too."""
+        """Give the surface the colormap that its values need; anew : even if it had another one."""
         by, layer = self.contours.by, self.surface
         if layer is None or not self.has(layer) or (by is None and not anew):
             return
@@ -223,7 +223,7 @@ class MeshLayers:
         self.slice_changed()
 
     def _drawn(self, mesh: Mesh) -> tuple[Any, Any, Any]:
-        """Vertices, faces and values of the layer."""
+        """Vertices, faces and values for the surface layer of a mesh."""
         apart, of = self._apart, self._apart_of
         if apart is None or of is None or not _same(of, mesh):
             apart = self._apart = Apart.of(mesh)
@@ -245,13 +245,13 @@ class MeshLayers:
         self._note(layer, mesh)
 
     def _note(self, layer: Surface, mesh: Mesh) -> None:
-        """What is needed to make a mesh of the layer again."""
+        """Store in a layer what is needed to make a mesh of it again."""
         assert self._apart is not None
         regions = mesh.regions[self._apart.order]
         layer.metadata[OWN].update({"regions": regions, COPIES: self._apart.copies})
 
     def _add_layers(self, mesh: Mesh, *, at_once: bool) -> None:
-        """Add those that are missing; not at once: only one, that which is to be seen first."""
+        """Add the missing layers; unless ``at_once``, only the one that is seen first."""
         first = self._belongs() or self._contours_added
         surface = self.surface is None and (at_once or first)
         if surface:
@@ -277,7 +277,7 @@ class MeshLayers:
         return made
 
     def _catch_up(self, event: Any = None) -> None:
-        """Put into the surface what it was not told of while it was hidden."""
+        """Update the surface with what it missed while it was hidden."""
         if self._late and self.surface is not None and self.shown is not None:
             self._late = False
             self._set_surface(self.surface, self.shown)
@@ -290,7 +290,7 @@ class MeshLayers:
         return self.viewer.dims.ndisplay == 3 and self.at_time and self.of_chosen
 
     def _place_surface(self) -> None:
-        """Show the surface where it belongs, if the user has not hidden it there."""
+        """Show the surface in views where it belongs, unless the user has hidden it there."""
         if self.surface is None or not self.has(self.surface) or self._belongs() == self._placed:
             return
         if self._placed:
@@ -303,5 +303,5 @@ class MeshLayers:
 
 
 def _same(a: Mesh, b: Mesh) -> bool:
-    """Whether two meshes have the same triangles between the same regions; the arrays tell."""
+    """Whether two meshes share the same arrays of triangles and regions."""
     return a.faces is b.faces and a.regions is b.regions

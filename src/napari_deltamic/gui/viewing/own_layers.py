@@ -17,18 +17,18 @@ from napari import layers
 
 
 class _OnImage:
-    """Says the image's extent for its own, from ``lie_on`` on."""
+    """Mixin for layers that report the image's extent as their own, once ``lie_on`` was called."""
 
     _image: Any = None  # a weak reference: layers outlive the image that they were made for
 
     def lie_on(self, image_layer: Any) -> Any:
-        """Leave the sliders to an image layer; the layer itself, for convenience."""
+        """Leave the sliders to an image layer; returns the layer itself, for convenience."""
         self._image = weakref.ref(image_layer)
         return self
 
     @property
     def extent(self) -> Any:
-        """Where the layer lies, as the sliders are to know it."""
+        """The extent of the layer as the sliders should see it."""
         own = super().extent  # type: ignore[misc]
         image = self._image() if self._image is not None else None
         if image is None or tuple(image.units[-own.world.shape[1] :]) != tuple(own.units):
@@ -65,7 +65,7 @@ _CUT = {"projection_mode": "rescale_spherical"}
 
 @cache
 def cut_by_slices() -> dict[str, Any]:
-    """Options of Points that are spheres: each slice shows them as it cuts them."""
+    """Options of Points that are spheres: each slice shows their sections."""
     try:
         layers.Points(**_CUT)
     except ValueError:  # napari before 0.8 says it in other words
@@ -74,7 +74,7 @@ def cut_by_slices() -> dict[str, Any]:
 
 
 def known_here(options: dict[str, Any]) -> dict[str, Any]:
-    """Options of Points that another version of napari may have saved, in words of this one."""
+    """Options of Points, perhaps saved by another version of napari, as this one needs them."""
     if options.items() >= _CUT.items():
         others = {name: value for name, value in options.items() if name not in _CUT}
         return {**others, **cut_by_slices()}

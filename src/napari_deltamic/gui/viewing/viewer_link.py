@@ -77,7 +77,7 @@ class ViewerLink(MeshLayers):
                 self.draw(self.mesh)
 
     def show_pins(self, pinned: NDArray[np.bool_] | None) -> None:
-        """Mark vertices as pinned: points that are only there where some are."""
+        """Mark the pinned vertices by points; without any, there is no layer of points."""
         self._pins.choose(pinned)
         self._pins.show(self.shown)
 
@@ -129,7 +129,7 @@ class ViewerLink(MeshLayers):
         camera_of(self.viewer).center = tuple(world)
 
     def go_to_time(self) -> None:
-        """Move the slider of time to that of the meshes."""
+        """Move the time slider to the time of the meshes."""
         self.viewer.dims.set_current_step(range(len(self.time)), self.time)
 
     def slice_changed(self, event: Any = None) -> None:
@@ -137,7 +137,7 @@ class ViewerLink(MeshLayers):
         self._place_images()
 
     def _place_images(self) -> None:
-        """Show the image that is looked at, at the time that it belongs to, and nowhere else."""
+        """Show the image chosen by the view, but only at the time that it belongs to."""
         here, images, source = self.at_time, self._images, self.image_layer
         beside = self._view == "side by side"
         rendered = here and (beside or self._view == "rendered")
@@ -158,7 +158,7 @@ class ViewerLink(MeshLayers):
             self._put_beside(self.rendered, beside)
 
     def _put_beside(self, layer: Image, beside: bool) -> None:
-        """Over the image, or to the right of it, as the slices lie."""
+        """Place a layer over the image, or to the right of it in the present slices."""
         shift = np.array(self.frame.translate)
         if beside:
             displayed = self.viewer.dims.displayed[-1] - self.viewer.dims.ndim
@@ -180,7 +180,7 @@ class ViewerLink(MeshLayers):
                 camera.center, camera.zoom = center, zoom
 
     def _image(self, data: NDArray[Any], what: str, colormap: Any, limits: Any) -> Image:
-        """Not added yet: that may change the slices, and by then the layer is to be known."""
+        """An image layer, not added yet: adding may change slices, and it must be known by then."""
         return Image(
             data,
             name=f"{self.image_layer.name}: {what}",
@@ -199,7 +199,7 @@ class ViewerLink(MeshLayers):
 
 
 def limits_of(residual: NDArray[Any]) -> tuple[float, float]:
-    """Between which values a residual is shown: noise is pale, and little is saturated."""
+    """Contrast limits for a residual: noise is pale, and little is saturated."""
     some = residual.reshape(-1)[:: 1 + residual.size // _LOOKED_AT]
     some = np.abs(some[np.isfinite(some)])
     most = max(_LEAST, float(np.percentile(some, _SHARE)) if len(some) else 0.0)
@@ -217,7 +217,7 @@ class Pins:
         self.layer: Points | None = None
 
     def choose(self, pinned: NDArray[np.bool_] | None) -> None:
-        """Which vertices are pinned, (V,); None for none."""
+        """Take which vertices are pinned, (V,) bool; None for none."""
         self._pinned = self._pinned[:0] if pinned is None else np.asarray(pinned, bool)
         self._removed = False
 

@@ -38,7 +38,7 @@ class Apart:
 
     @classmethod
     def of(cls, mesh: Mesh) -> Apart:
-        """Copies of the vertices where surfaces between other regions meet."""
+        """A mesh with copies of the vertices at which surfaces between different regions meet."""
         n = len(mesh.vertices)
         sides = np.sort(mesh.regions, axis=1)
         pairs, pair = unique_pairs(sides)
@@ -72,7 +72,7 @@ class Apart:
 def joined(
     vertices: NDArray[Any], faces: NDArray[Any], metadata: dict[str, Any]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Vertices and faces of a layer, without the copies that its metadata tell of."""
+    """Vertices and faces of a layer, without the copies noted in its metadata."""
     copies = metadata.get(OWN, {}).get(COPIES)
     n = len(vertices) - (0 if copies is None else len(copies))
     if copies is None or not len(copies) or n <= int(np.max(copies)):
