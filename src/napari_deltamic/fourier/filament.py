@@ -164,8 +164,10 @@ def _line_rule(nodes: int, divisions: int) -> Rule:
 
 @cache
 def _largest_phases(threshold: float, error: float) -> tuple[float, ...]:
-    """For each number of nodes, the longest segment (rad at the edge of the band) that keeps to
-    ``error``, by the mean over directions and over the band of a Gaussian OTF."""
+    """Longest segment (rad at the edge of the band) that keeps to ``error``, by number of nodes.
+
+    The error is a mean over directions and over the band of a Gaussian OTF.
+    """
     u = (np.arange(32) + 0.5) / 32  # cosine of the angle to the segment: even over the sphere
     s = np.linspace(0.01, 1.0, 100)
     weight = s**2 * threshold ** (2 * s**2)

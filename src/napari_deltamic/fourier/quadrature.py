@@ -128,10 +128,10 @@ def _error_tables() -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _largest_phases(threshold: float, error: float, filled: bool) -> tuple[float, ...]:
-    """For each degree, the longest edge (rad at the edge of the band) that keeps to ``error``."""
+    """Return, by degree, the longest edge (rad at the band's edge) that keeps to ``error``."""
     table, power = _error_tables()
     s = np.linspace(0.01, 1.0, 100)  # fraction of the band's radius
-    shell = 1.0 if filled else s**2  # of a solid, the flux over the wavevector
+    shell = 1.0 if filled else s**2  # for a solid, the flux is divided by the wavevector
     weight = shell * threshold ** (2 * s**2)  # and |OTF|^2 of a Gaussian
     out = []
     for i in range(len(DEGREES)):

@@ -200,12 +200,12 @@ def _weights(
     width: Sequence[float],
     dipoles: bool,
 ) -> list[AxisWeights]:
-    """For each axis, shares of the power along it: of images of round scenes, of those of walls
-    across it, and of the gradient; of dipoles, of the first two once more.
+    """Return, for each axis, the shares of the power along it, for several kinds of scenes.
 
-    The power of a flat wall falls less along its normal. What lies beyond the band is taken to be
-    as strong as at its edge. An alias of dipoles is as many times stronger as its wavevector is
-    longer; zero is not theirs (:mod:`.solid`).
+    These are images of round scenes, images of walls across the axis, and the gradient; for
+    dipoles, the first two once more. The power of a flat wall falls less along its normal. Power
+    beyond the band is taken to be as strong as at its edge. An alias of dipoles is stronger by the
+    factor by which its wavevector is longer; they have no part at zero (:mod:`.solid`).
     """
     index = [_samples(k) for k in half]
     whole = [np.concatenate([-i[:0:-1], i]) for i in index[:2]] + [index[2]]

@@ -9,13 +9,13 @@ from .compiled import native
 from .connected import connected
 from .mesh import FloatArray, IntArray, Mesh
 
-# Cotangents beyond these are of slivers, whose curvature says nothing of the surface.
+# Cotangents beyond these belong to slivers, whose curvature says nothing about the surface.
 _LEAST, _LARGEST = -2.0, 4.0
-# Of the mean area of a vertex. The energy divides by that area: without a bound, vertices among
-# slivers would be held hardest, just where the curvature tells least about the surface.
+# Share of the mean area per vertex. The energy divides by a vertex's area: without a bound,
+# vertices among slivers would be held hardest, where the curvature tells least about the surface.
 _SMALL = 0.25
-# Squares of the PSF's width that a wall must have for its own mean curvature to count half; chosen:
-# the area within two widths, as less of a surface cannot be told from its blur.
+# Area, in squares of the PSF's width, at which a wall's own mean curvature counts half; chosen: the
+# area within two widths, as a smaller piece of surface cannot be told from its blur.
 _OWN = 4 * np.pi
 _POINT = 1e-100  # um^2: a surface without area has no curvature
 _NO_AREA = 1e-12  # of the mean area: a face without area has no cotangents
@@ -29,19 +29,19 @@ class BendingEnergy:
     vertex it is ``1/2 sum over vertices of |K_i|^2 / A_i`` (M. Meyer et al., "Discrete
     differential-geometry operators for triangulated 2-manifolds", 2003).
 
-    Of a wall that ends at junctions, only what its curvature differs by from its own mean counts:
-    ``1/2 integral of |2 H - c|^2 dA + 1/2 own c^2``, at the c that makes it least, is the energy
-    less ``1/2 M^2 / (S + own)``, with M the integral of 2 H and S the area. Tension and pressure
-    make walls of even curvature; held against that itself, a cap would grow at the cost of its rim.
+    For a wall that ends at junctions, only the deviation of its curvature from its own mean counts:
+    ``1/2 integral of |2 H - c|^2 dA + 1/2 own c^2``, at the c that minimises it, is the energy less
+    ``1/2 M^2 / (S + own)``, with M the integral of 2 H and S the area. Tension and pressure make
+    walls of even curvature; if that were penalised, a cap would grow at the cost of its rim.
 
     Parameters
     ----------
     mesh
-        Its connectivity. Vertices count whose edges all belong to exactly two faces, less where
-        they have hardly any area.
+        Only its connectivity and areas are used. A vertex counts if all its edges belong to exactly
+        two faces, and less where it has hardly any area.
     width
         um, of the PSF: walls much smaller than that have no mean curvature of their own. None: no
-        wall has.
+        wall has one.
     """
 
     def __init__(self, mesh: Mesh, width: float | None = None) -> None:
@@ -88,7 +88,7 @@ class BendingEnergy:
         return energy, gradient
 
     def _in_numpy(self, vertices: FloatArray) -> tuple[float, FloatArray]:
-        """What the compiled loops compute (``csrc/bending.h``)."""
+        """Compute the same as the compiled loops (``csrc/bending.h``)."""
         corners = vertices[self._faces]
         # Edge vectors opposite each corner; the angle at corner p lies between the two others.
         edges = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
@@ -149,8 +149,8 @@ class BendingEnergy:
         """(V, V) Gauss-Newton second derivatives, 1/um^2: one displacement for each vertex.
 
         ``sum over z, y, x of Q' Q`` with ``Q = A^-1/2 L diag(direction)``, L the matrix of
-        cotangents: areas and cotangents are held. Symmetric, and nowhere negative. What a
-        wall's own mean curvature frees is left in: errors with and without it were the same.
+        cotangents: areas and cotangents are held fixed. Symmetric and positive semidefinite. The
+        term of a wall's own mean curvature is not subtracted: errors were the same either way.
 
         Parameters
         ----------

@@ -137,7 +137,7 @@ def _repeated(faces: IntArray) -> NDArray[np.bool_]:
 
 
 def _flat(points: FloatArray, faces: IntArray) -> tuple[NDArray[np.bool_], IntArray]:
-    """Which faces have no area, and the corner opposite each face's longest edge."""
+    """Return (F,) which faces have no area, and the corner opposite each face's longest edge."""
     corners = points[faces]
     edges = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)  # opposite each corner
     lengths = np.linalg.norm(edges, axis=2)
@@ -222,7 +222,7 @@ def _in_order(faces: IntArray, regions: IntArray, messages: list[str]) -> tuple[
 
 
 def _first_copies(faces: IntArray, regions: IntArray) -> NDArray[np.bool_]:
-    """Which faces to keep, so that none is there twice without need.
+    """Return (F,) which faces to keep, so that none is there twice without need.
 
     Coincident faces are judged by the patch that they form. One copy stays if that opens no edge.
     Where it would, the patch is a contact of two surfaces, which both need it: as many copies stay

@@ -9,12 +9,12 @@ from .mesh import FloatArray, Mesh
 
 @dataclass(frozen=True, eq=False)
 class Replicas:
-    """From what the errors of measurements on a surface are estimated.
+    """Surfaces from which the errors of measurements on a fitted surface are estimated.
 
     Attributes
     ----------
     mesh
-        The fitted one.
+        The fitted surface.
     settled
         (V, 3) um: its vertices where the fit would have ended with more patience.
     smooth

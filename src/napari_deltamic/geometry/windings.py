@@ -215,7 +215,7 @@ def _propagate(
 
 
 def _inside_out(mesh: Mesh, sign: IntArray, piece: IntArray) -> BoolArray:
-    """Which closed pieces point inward and are no cavity."""
+    """Return (P,) which closed pieces point inward without being a cavity."""
     n_pieces = int(piece.max()) + 1
     n_regions = int(mesh.regions.max()) + 1
     per_face = _volumes_about_pieces(mesh, piece) * sign
@@ -259,7 +259,7 @@ def _extents(mesh: Mesh, n_regions: int) -> FloatArray:
 
 
 def _closed(mesh: Mesh, piece: IntArray) -> BoolArray:
-    """Which pieces have an even number of faces of each region at each edge."""
+    """Return (P,) which pieces have an even number of faces of each region at each edge."""
     n_pieces = int(piece.max()) + 1
     n_edges = len(mesh.edges())
     n_regions = int(mesh.regions.max()) + 1

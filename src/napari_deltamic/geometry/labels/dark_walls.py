@@ -115,7 +115,7 @@ def without_parted(found: Labels, parts: Labels, whole: float) -> NDArray[np.int
 
 
 def _mean_solidity(several: list[int], parts: Labels, boxes: dict[int, tuple[slice, ...]]) -> float:
-    """Of some parts, averaged by volume."""
+    """Solidity of some parts, averaged by volume."""
     each = [parts[boxes[part]] == part for part in several]
     solid = [solidity(own) for own in each]
     return float(np.average(solid, weights=[own.sum() for own in each]))
@@ -134,7 +134,7 @@ def _walls(labels: Labels, smooth: Image) -> tuple[IntArray, FloatArray]:
 
 
 def _quantiles(values: Image, groups: IntArray, count: int, share: float) -> FloatArray:
-    """Of the values in each group; 0 of one that is empty."""
+    """Return the quantile of the values in each group; 0 for an empty group."""
     order = np.lexsort((values, groups))
     many = np.bincount(groups, minlength=count)
     at = np.cumsum(many) - many + (share * np.maximum(many - 1, 0)).astype(int)

@@ -118,7 +118,7 @@ class RegionsFound:
     walled: FloatArray
 
     def of(self, chosen: list[int] | Mask) -> RegionsFound:
-        """Only these."""
+        """Return only the chosen regions."""
         return RegionsFound(*(getattr(self, part.name)[chosen] for part in fields(self)))
 
 
@@ -135,7 +135,7 @@ class Seen:
     voxel: FloatArray
 
     def coarsened(self, step: NDArray[np.int_]) -> Seen:
-        """Means of blocks of voxels."""
+        """Return the means of blocks of voxels."""
         blocks = np.float32(np.prod(step) ** 0.5)
         half = 0.5  # by definition
         return Seen(
@@ -147,7 +147,7 @@ class Seen:
 
 
 def regions_of_size(seen: Seen, size: float, finest: float) -> tuple[Labels, RegionsFound]:
-    """Labels of the cells, and what they are."""
+    """Find cells of a size; returns their labels and what was measured on them."""
     step = np.maximum(np.floor(finest * size / seen.voxel), 1).astype(int)
     step = np.minimum(step, seen.data.shape)
     coarse = seen.coarsened(step)
@@ -233,9 +233,9 @@ def _least(at_border: FloatArray, within: float, most: float) -> FloatArray:
 def _trimmed(
     labels: Labels, names: NDArray[np.int64], side: FloatArray, size: float
 ) -> tuple[Labels, list[int]]:
-    """Only the cells, from 1, each in one part without holes and without what has leaked out.
+    """Keep only the cells, from 1, each in one part without holes and without what has leaked out.
 
-    And which of the names they are, since of some nothing is left.
+    Also return which of the names they are, since nothing is left of some.
     """
     result = np.zeros_like(labels)
     radius = FINDING.leak * size
@@ -256,9 +256,9 @@ def _trimmed(
 
 
 def without_gaps(labels: Labels, found: RegionsFound) -> WalledCells:
-    """Only the cells, from 1: gaps between them are less enclosed, and concave.
+    """Keep only the cells, from 1: gaps between them are less enclosed, and concave.
 
-    They are as dark inside as cells are, and what encloses them are the walls of cells.
+    Gaps are as dark inside as cells are, and are enclosed by the walls of cells.
     """
     if not len(found.names):
         return WalledCells(labels, found.surely)
@@ -272,19 +272,19 @@ def without_gaps(labels: Labels, found: RegionsFound) -> WalledCells:
 
 
 def solidities(labels: Labels, count: int) -> FloatArray:
-    """(count,) of labels from 1; 0 of one that is nowhere, as where others cover it."""
+    """Return (count,) solidities of labels from 1; 0 for a label without voxels."""
     boxes = enumerate(ndimage.find_objects(labels, count), 1)
     return np.array([0.0 if box is None else solidity(labels[box] == k) for k, box in boxes])
 
 
 def renumbered(labels: Labels, kept: Mask) -> Labels:
-    """Of labels from 1 only some, from 1 again."""
+    """Keep some of the labels from 1 and number them from 1 again; the others become 0."""
     numbers = np.append(0, np.where(kept, np.cumsum(kept), 0)).astype(labels.dtype)
     return numbers[labels]
 
 
 def upper_quartile(values: FloatArray, volume: FloatArray) -> float:
-    """By volume: gaps may be many, but they are small."""
+    """Upper quartile of values weighted by volume: gaps may be many, but they are small."""
     order = np.argsort(values)
     below = np.cumsum(volume[order])
     place = 0.75 * below[-1]  # by definition

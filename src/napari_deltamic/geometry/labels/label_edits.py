@@ -110,7 +110,7 @@ class Corrector:
             )
 
     def _voxels_of_cell(self) -> float:
-        """Of a typical one."""
+        """Number of voxels in a ball with the diameter of a typical cell."""
         return float(np.pi / 6 * self._size**3 / np.prod(self._voxel))
 
 
@@ -260,7 +260,7 @@ def _unseen(click: int) -> InputError:
 
 
 def _edge(walls: Image, cell: NDArray[np.bool_]) -> float:
-    """By how much the rim of a cell is brighter, or darker, than its core."""
+    """Return by how much the rim of a cell is brighter, or darker, than its core."""
     core = ndimage.binary_erosion(cell)
     core = core if core.any() else cell
     rim = ndimage.binary_dilation(cell, iterations=2) & ~core
@@ -268,9 +268,9 @@ def _edge(walls: Image, cell: NDArray[np.bool_]) -> float:
 
 
 def _nearest(cost: FloatArray, centres: Sequence[_Place], voxel: FloatArray) -> NDArray[np.intp]:
-    """Which centre each voxel is nearest to, by ways that avoid walls.
+    """Return the index of the centre that each voxel is nearest to, by ways that avoid walls.
 
-    Where a wall has a gap, or is not seen at all, the border runs half-way.
+    Where a wall has a gap, or is not seen at all, the border runs half-way between the centres.
     """
     ways = [_ways(cost, np.array([centre]), voxel) for centre in centres]
     nearest: NDArray[np.intp] = np.argmin(ways, axis=0)

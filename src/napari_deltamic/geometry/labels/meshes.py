@@ -100,10 +100,10 @@ def mesh_from_labels(
 
 @dataclass(frozen=True)
 class LabelSurfaces:
-    """Of a label image: a mesh of each cluster of labels.
+    """The surfaces of a label image: one mesh for each cluster of labels.
 
-    too_small : labels that gave none. count : of all labels. edge : um. cut : labels that lack thin
-    parts, and which share of them is missing.
+    too_small : labels without a surface. count : number of all labels. edge : edge length, um.
+    cut : labels that lack thin parts, each with the share of its volume that is missing.
     """
 
     meshes: list[Mesh]
@@ -122,7 +122,7 @@ def surfaces_of_labels(
     shared_walls: bool = True,
     image: ArrayLike | None = None,
 ) -> LabelSurfaces:
-    """The work of `mesh_from_labels`, which says what the arguments are."""
+    """Do the work of `mesh_from_labels`, which describes the arguments."""
     size, start = (
         three_numbers(voxel_size, "voxel size"),
         three_numbers(origin, "origin", positive=False),
@@ -197,7 +197,7 @@ def _edge_in_voxels(labels: IntArray, size: FloatArray) -> float:
 
 
 def _area(labels: IntArray, size: FloatArray) -> float:
-    """um^2, about, of all surfaces."""
+    """Return the approximate area of all surfaces, um^2."""
     area = 0.0
     for axis in range(3):
         moved = np.moveaxis(labels, axis, 0)
@@ -334,7 +334,7 @@ def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
 
 
 def _whole(numbers: IntArray, cluster: IntArray) -> IntArray:
-    """Of each label the largest part, with holes filled that are no other label."""
+    """Keep the largest part of each label, and fill its holes where no other label lies in them."""
     kept = np.zeros_like(numbers)
     for number, box in zip(cluster, _boxes(numbers, cluster), strict=True):
         doing()

@@ -144,7 +144,7 @@ def join_regions(labels: Labels, image: Image, size: FloatArray, ball: float) ->
 
 
 def dark_half(labels: Labels, image: Image, count: int) -> tuple[FloatArray, FloatArray]:
-    """Of the darker half of each label's voxels, as walls are bright: how many, and their sum."""
+    """Return number and sum of the darker half of each label's voxels: bright ones may be walls."""
     middle = np.zeros(count)
     middle[1:] = ndimage.median(image, labels, np.arange(1, count))
     dark = np.where(image <= middle[labels], labels, 0).ravel()

@@ -75,7 +75,7 @@ def _balls(
 def closed_regions(
     data: FloatArray, size: FloatArray, voxels: IntArray, names: list[int]
 ) -> tuple[Labels, dict[int, Refused]]:
-    """As :func:`regions_at`, without balls; and the points without a region, by their names."""
+    """Like :func:`regions_at`, without balls; also return the points without a region, by name."""
     labels, refused = label_basins(data, size, voxels, names)
     at = {name: tuple(voxel) for name, voxel in zip(names, voxels.tolist(), strict=True)}
     why = {one.points[-1]: one for one in refused}
@@ -202,7 +202,7 @@ _kept: list[tuple[bytes, CellsFound | None]] = []
 
 
 def _cells(data: FloatArray, size: FloatArray) -> CellsFound | None:
-    """Those that are found without help; None where there are none."""
+    """Return the cells that are found without points; None if there are none."""
     key = content_of(data, size)
     for known, cells in tuple(_kept):  # threads may share it
         if known == key:

@@ -29,7 +29,7 @@ Box = tuple[slice, ...]
 
 @dataclass(frozen=True)
 class MarkerRules:
-    """Which labels only mark their cells.
+    """Thresholds that decide which labels only mark their cells.
 
     Attributes
     ----------

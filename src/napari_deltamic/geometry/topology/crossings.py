@@ -33,15 +33,15 @@ def crosses(mesh: Mesh) -> bool:
 
 
 class CrossingWalls:
-    """Which walls of a mesh cross, and which regions are theirs.
+    """The walls of a mesh that cross, and their regions.
 
-    A wall is the faces of one connected piece between the same two regions.
+    A wall is all faces of one connected piece between the same two regions.
 
     Attributes
     ----------
     regions
-        For each pair of walls that cross the larger region number of each: one number where it is
-        the same.
+        For each pair of walls that cross, the larger region number of each wall; only one number if
+        both are the same.
     wall
         (F,) number of each face's wall.
     pairs

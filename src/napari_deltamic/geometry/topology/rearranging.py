@@ -165,7 +165,7 @@ def _wanted(state: _State, place: ThinPlace, after: Census) -> bool:
 
 
 def _shapes(mesh: Mesh, small: tuple[Submesh, Change], place: ThinPlace) -> Shapes | None:
-    """Of a cell with a neck or a hole: its shape before and after."""
+    """Return the shape of a cell with a neck or a hole before and after; None for other places."""
     if not place.is_thin or len(place.sides) > 1:
         return None
     cell = place.regions[0] or place.sides[0]

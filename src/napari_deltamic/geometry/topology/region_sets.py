@@ -46,7 +46,7 @@ class RegionSets:
 
     @staticmethod
     def of_rows(regions: IntArray) -> RegionSets:
-        """Of each row of regions."""
+        """Return the set of regions in each row, (n, k)."""
         things = np.repeat(np.arange(len(regions)), regions.shape[1])
         return RegionSets.gathered(things, regions.reshape(-1), len(regions))
 

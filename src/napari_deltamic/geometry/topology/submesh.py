@@ -230,14 +230,14 @@ class Census:
 
     @staticmethod
     def of(mesh: Mesh, middle: FloatArray | None = None) -> Census:
-        """Of a mesh; of a part, volumes are relative to a point (um) that it may choose."""
+        """Count a mesh; volumes of an open part are relative to ``middle``, (3,) um."""
         pairs, wall = mesh.interfaces()
         count = np.bincount(wall, minlength=len(pairs)).tolist()
         walls = {(a, b): n for (a, b), n in zip(pairs.tolist(), count, strict=True)}
         return Census(walls, mesh.volumes(middle))
 
     def with_part(self, before: Mesh, after: Mesh) -> Census:
-        """After a part has changed."""
+        """Return the census after a part of the mesh has changed."""
         middle = before.vertices_numpy().mean(0)
         walls, volumes = dict(self.walls), dict(self.volumes)
         own_pairs = set[tuple[int, int]]()

@@ -57,7 +57,7 @@ class ThinPlace:
 
     @property
     def center(self) -> FloatArray:
-        """(3,) um."""
+        """Mean of the points, (3,) um."""
         mean: FloatArray = self.points.mean(axis=0)
         return mean
 
@@ -220,7 +220,7 @@ def _all_of(parts: list[_Facing]) -> _Facing:
 def _of_pairs(
     mesh: Mesh, normals: FloatArray, vertex: IntArray, face: IntArray, point: FloatArray
 ) -> _Facing:
-    """Those of pairs of a vertex and a face, and its nearest point, that face each other."""
+    """Select the pairs of a vertex and a face (with its nearest point) that face each other."""
     places, faces, regions = mesh.vertices_numpy(), mesh.faces, mesh.regions
     way = point - places[vertex]
     width = np.linalg.norm(way, axis=1)
@@ -283,7 +283,7 @@ def _corner(mesh: Mesh, vertex: IntArray, face: IntArray, three: IntArray) -> np
 
 
 class _Meeting:
-    """Which regions meet in a vertex: a list, as a table would have a column for each cell."""
+    """Regions that meet in each vertex, as a sorted list: a table would need a column for each."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._size = int(mesh.regions.max()) + 1

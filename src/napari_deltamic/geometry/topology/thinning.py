@@ -147,9 +147,9 @@ class _Outward:
 
 
 def _patch(mesh: Mesh, mask: Mask, place: ThinPlace, seeds: Mask | None = None) -> Mask:
-    """Of some faces the connected ones that are nearest to a place; they share edges.
+    """Return the group of faces, joined by edges within a mask, that is nearest to a place.
 
-    ``seeds``: one of these must be among them.
+    With ``seeds``, one of these faces must be in the group.
     """
     rows = np.flatnonzero(mask)
     patch = np.zeros(len(mask), bool)
