@@ -15,7 +15,7 @@ class ImageGrid(Protocol):
 
     @property
     def extent(self) -> tuple[NDArray, NDArray]:
-        """Return the centres of the first and the last voxel, (3,) um each."""
+        """The centres of the first and the last voxel, (3,) um each."""
 
 
 def beyond(mesh: Mesh, grid: ImageGrid) -> NDArray[np.bool_]:

@@ -28,7 +28,8 @@ from .part_images import part_images
 
 # Share of the PSF's width: steps of numerical derivatives, large enough for the images' accuracy.
 _NUDGE = 0.1
-# Shares of the mean diagonal: what nothing determines then gets an enormous error, not none.
+# Shares of the mean diagonal: what nothing determines gets an enormous error, which it would lack
+# otherwise.
 _RIDGE_OF_POSE, _RIDGE_OF_DENSITIES = 1e-9, 1e-10
 
 
@@ -136,7 +137,7 @@ class _Pose:
 
     @property
     def free(self) -> int:
-        """Count the fitted numbers: the shift, and a Gaussian's widths along z and in the plane."""
+        """How many numbers are fitted: the shift, and a Gaussian's widths, axial and in plane."""
         return 5 if isinstance(self.optics, GaussianPSF) and self.optics.diagonal else 3
 
     def moved(self, by: FloatArray) -> _Pose:

@@ -21,7 +21,7 @@ class MovedNumber:
 
     @property
     def texts(self) -> tuple[str, str, str]:
-        """Return name, start and present value, as they are shown."""
+        """Name, start and present value, as they are shown."""
         start = "-" if self.start is None else f"{self.start:.4g}"
         return self.name, start, f"{self.now:.4g} {self.unit}".strip()
 

@@ -1,4 +1,4 @@
-"""Insides: regions of a mesh, filled."""
+"""Insides: the filled regions of a mesh."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Solid:
     Attributes
     ----------
     mesh
-        Closed regions; rendering is differentiable in the vertices where they are a tensor. Those
+        Closed regions; rendering is differentiable in the vertices if they are a tensor. Regions
         that are inside out are turned, with a RepairWarning.
     density
-        Fluorophores per um^3: one number for all regions, region number -> number (0 for those not
-        named), or (R,) in the order of ``mesh.region_ids()``.
+        Fluorophores per um^3: one number for all regions, a mapping by region number (0 for those
+        not named), or (R,) in the order of ``mesh.region_ids()``.
     """
 
     mesh: Mesh
@@ -55,7 +55,7 @@ class Solid:
                 raise InputError(f"region {region} is not closed: a solid needs closed surfaces")
 
     def densities(self) -> Tensor:
-        """(R,) fluorophores per um^3, in the order of ``mesh.region_ids()``."""
+        """Return (R,) fluorophores per um^3, in the order of ``mesh.region_ids()``."""
         ids = self.mesh.region_ids().tolist()
         if isinstance(self.density, Mapping):
             return torch.tensor([float(self.density.get(k, 0.0)) for k in ids])
