@@ -1,10 +1,11 @@
-"""Which regions stand out from the noise: a dim cell does, a cell that noise has drawn does not.
+"""Which regions stand out from the noise: a dim cell does, one that noise has drawn does not.
 
 How far a wall is above the inside says little without the noise: in a dark image a wall of a few
 photons is plain, in a bright haze one of twenty is not. So the rim of a region is measured in
 standard deviations of the noise there. That needs noise that is independent from voxel to voxel,
-or its strength cannot be told from the image; whether it is so, the image does tell: of what no
-lens can pass, the finest checkered pattern, neighbouring values have a known correlation.
+or its strength cannot be told from the image. Whether it is independent, the image does tell: in
+the finest checkered pattern, which no lens can pass, neighbouring values then have a known
+correlation.
 """
 
 from __future__ import annotations

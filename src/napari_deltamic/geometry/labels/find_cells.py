@@ -1,10 +1,10 @@
-"""Cells found in an image of membranes, with no other help than how large a cell is.
+"""Finds cells in an image of membranes, given only how large a cell is.
 
 The image is smoothed by a small part of the size of a cell and its contrast is compressed, so that
-dim walls count next to bright ones. Every minimum of a somewhat smoother copy starts a region, and
-a watershed grows them up to the crests: there are then several regions in each cell and many in
-the outside. Regions that no wall divides are joined (`region_merging`). What is then enclosed by
-walls and about as large as a cell is one. The outside needs no marker, so none can flood a cell.
+dim walls count beside bright ones. Every minimum of a somewhat smoother copy starts a region, and a
+watershed grows them up to the crests: there are then several regions in each cell and many outside.
+Regions that no wall divides are joined (`region_merging`). A region that is then enclosed by walls
+and about as large as a cell is one. The outside needs no marker, so none can flood a cell.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def find_cells(
     ----------
     image : (Z, Y, X) array; NaN where missing.
     voxel_size : um, Z, Y, X.
-    size : um; the diameter of a usual cell. Cells of 0.4 to 2 times this are found.
+    size : um; the diameter of a typical cell. Cells of 0.4 to 2 times this are found.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def find_cells(
 
 @dataclass(frozen=True, eq=False)
 class WalledCells:
-    """What walls enclose.
+    """Cells that walls enclose.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class WalledCells:
 
 
 def walled_cells(image: ArrayLike, voxel_size: Sequence[float], size: float) -> WalledCells:
-    """What `find_cells` finds, and which of it is sure.
+    """Find the same cells as `find_cells`, and say which of them are sure.
 
     Raises
     ------
@@ -124,7 +124,7 @@ class RegionsFound:
 
 @dataclass(frozen=True)
 class Seen:
-    """An image, its gaps filled, where it is known, its noise, and its voxel.
+    """An image without gaps, where it is known, its noise, and the sides of its voxels.
 
     The noise is that of ``noise_magnitudes``; None where it cannot be told.
     """
@@ -168,7 +168,7 @@ def regions_of_size(seen: Seen, size: float, finest: float) -> tuple[Labels, Reg
 
 
 def _wall_sigma(side: FloatArray, size: float) -> FloatArray:
-    """Standard deviation, in voxels, of the Gaussian that smooths walls."""
+    """Return the standard deviation, in voxels, of the Gaussian that smooths walls."""
     sigma: FloatArray = max(FINDING.smoothing * size, FINDING.sharpest * float(side.min())) / side
     return sigma
 
@@ -176,7 +176,7 @@ def _wall_sigma(side: FloatArray, size: float) -> FloatArray:
 def compressed_walls(
     data: Image, side: FloatArray, size: float, known: Mask | None = None
 ) -> Image:
-    """The smoothed image with its contrast compressed: dim walls count next to bright ones.
+    """Smooth an image and compress its contrast, so that dim walls count beside bright ones.
 
     Noise and contrast are those where the image is known (None: everywhere).
     """
@@ -195,7 +195,7 @@ def compressed_walls(
 
 
 def _cells(regions: Regions, seen: Seen, size: float) -> RegionsFound:
-    """The regions that are cells: enclosed, of about the size, not mostly on the border."""
+    """Select the regions that are cells: enclosed, of about the size, not mostly on the border."""
     n, side = len(regions.volume), seen.voxel
     flat = regions.labels.ravel()
     border = np.bincount(flat, border_area(regions.labels.shape, side, seen.known).ravel(), n)
@@ -226,7 +226,7 @@ def _cells(regions: Regions, seen: Seen, size: float) -> RegionsFound:
 
 
 def _least(at_border: FloatArray, within: float, most: float) -> FloatArray:
-    """What share of a surface must be enclosed, from how much lies on the border."""
+    """Return the share of a surface that must be enclosed, from how much lies on the border."""
     return np.maximum(within, np.minimum(within + at_border, most))
 
 
@@ -292,7 +292,7 @@ def upper_quartile(values: FloatArray, volume: FloatArray) -> float:
 
 
 def _refined(labels: Labels, step: NDArray[np.int_], seen: Seen, size: float) -> Labels:
-    """Labels on the voxels of the image, their borders moved onto the crests."""
+    """Refine coarse labels to the voxels of the image, with borders moved onto the crests."""
     if (step == 1).all():
         return labels
     for axis, times in enumerate(step):
@@ -313,7 +313,7 @@ def _refined(labels: Labels, step: NDArray[np.int_], seen: Seen, size: float) ->
 
 
 def coarsened_image(data: Image, step: NDArray[np.int_]) -> Image:
-    """Means of blocks of voxels; the last block of an axis takes in what is left over."""
+    """Return means of blocks of voxels; an axis's last block includes the voxels left over."""
     for axis, times in enumerate(step):
         if times > 1:
             starts = np.arange(0, max(data.shape[axis] // times, 1) * times, times)
