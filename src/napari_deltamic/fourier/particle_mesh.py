@@ -140,8 +140,11 @@ def gather(
     field: Tensor,
     slopes: bool = False,
 ) -> Tensor:
-    """(E, corners, 1): sums over each element's points of weight times barycentric coordinate times
-    a field (:func:`field_of`); (E, corners, 4) with its derivatives per um."""
+    """Return sums over each element's points, (E, corners, 1), or (E, corners, 4) with slopes.
+
+    Terms are weight times barycentric coordinate times a field (:func:`field_of`), or its
+    derivatives per um.
+    """
     if not compiled(field.device):
         if (kernels := _kernels(field.device, single)) is not None:
             return on_gpu.gather(kernels, vertices, elements, points, spreading, field, slopes)

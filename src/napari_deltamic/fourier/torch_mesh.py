@@ -29,7 +29,7 @@ def spread(
     device: torch.device,
     vectors: Tensor | None = None,
 ) -> Tensor:
-    """(Z, Y, X) grid; see :func:`napari_deltamic.fourier.particle_mesh.spread`."""
+    """Spread as :func:`napari_deltamic.fourier.particle_mesh.spread` does."""
     real = _real(single)
     if vectors is None:
         strengths = (density * measure(vertices[elements])[0])[:, None].to(real).to(device)
@@ -66,8 +66,10 @@ def gather(
     field: Tensor,
     slopes: bool = False,
 ) -> Tensor:
-    """(E, corners, 1) sums over each element's points of weight times barycentric coordinate times
-    the field; (E, corners, 4) with its derivatives per um."""
+    """Return sums over each element's points, (E, corners, 1), or (E, corners, 4) with slopes.
+
+    Terms are weight times barycentric coordinate times the field, or its derivatives per um.
+    """
     parts = 4 if slopes else 1
     sums = field.new_zeros(*elements.shape, parts)
     flat = field.reshape(-1)

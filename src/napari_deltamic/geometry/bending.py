@@ -60,8 +60,10 @@ class BendingEnergy:
     def _bounded_walls(
         self, mesh: Mesh, uses: IntArray, asked: bool
     ) -> tuple[IntArray, FloatArray, int]:
-        """(V,) number of the wall that a vertex lies within, -1 for none and for those that close;
-        (F,) which way faces look, the same throughout a wall; and how many there are.
+        """Number the walls that end at junctions or borders.
+
+        Return (V,) the number of the wall that each vertex lies within, -1 for none or a closed
+        one; (F,) the sign of each face's normal, the same throughout a wall; and their number.
         """
         none: IntArray = np.full(self._count, -1, np.int64)
         side = np.where(mesh.regions[:, 0] <= mesh.regions[:, 1], 1.0, -1.0)
@@ -146,7 +148,7 @@ class BendingEnergy:
         return energy, np.stack([self._at_vertices(gradient[:, :, i]) for i in range(3)], 1)
 
     def curvature(self, vertices: FloatArray, directions: FloatArray) -> sp.csr_matrix:
-        """(V, V) Gauss-Newton second derivatives, 1/um^2: one displacement for each vertex.
+        """Return (V, V) Gauss-Newton second derivatives, 1/um^2, for one displacement a vertex.
 
         ``sum over z, y, x of Q' Q`` with ``Q = A^-1/2 L diag(direction)``, L the matrix of
         cotangents: areas and cotangents are held fixed. Symmetric and positive semidefinite. The
@@ -186,7 +188,7 @@ class BendingEnergy:
 def _through_cotangents(
     by_cotangent: FloatArray, doubled: FloatArray, edges: FloatArray
 ) -> FloatArray:
-    """(F, 3, 3) gradient through the dot products of the cotangents, areas held."""
+    """Return (F, 3, 3) the gradient through the cotangents' dot products, areas held fixed."""
     by_dot = by_cotangent / doubled[:, None]
     # The dot product at corner p is minus that of the edges p + 1 and p + 2.
     to_edges = -(

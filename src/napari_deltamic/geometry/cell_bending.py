@@ -41,7 +41,7 @@ class CellBending:
         return energy, np.stack(list(columns), 1)
 
     def curvature(self, vertices: FloatArray, directions: FloatArray) -> sp.csr_matrix:
-        """(V, V) Gauss-Newton second derivatives, 1/um^2, as of `BendingEnergy`.
+        """Return (V, V) Gauss-Newton second derivatives, 1/um^2, as `BendingEnergy` does.
 
         vertices : (V, 3) um. directions : (V, 3) unit vectors along which vertices move.
         """

@@ -51,7 +51,7 @@ class JunctionBending:
         self._unlike = self._differences()
 
     def _differences(self) -> sp.csr_matrix:
-        """(n, n) matrix from each vertex's bend to half its excess over its neighbours' mean."""
+        """Return (n, n) the matrix from bends to half their excess over the neighbours' mean."""
         n = len(self._middle)
         row = np.full(self._count, -1)
         row[self._middle] = np.arange(n)
@@ -83,7 +83,7 @@ class JunctionBending:
         return float(energies.sum()), gradient
 
     def curvature(self, vertices: FloatArray, directions: FloatArray) -> sp.csr_matrix:
-        """(V, V) Gauss-Newton second derivatives, 1/um^2, as of :class:`~.bending.BendingEnergy`.
+        """Return (V, V) Gauss-Newton second derivatives, 1/um^2, as ``BendingEnergy`` does.
 
         vertices : (V, 3) um. directions : (V, 3) unit vectors along which vertices move.
         """

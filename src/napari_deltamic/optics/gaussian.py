@@ -52,7 +52,7 @@ class GaussianPSF:
 
     @property
     def covariance(self) -> Tensor:
-        """(3, 3) um^2."""
+        """Covariance of the PSF, (3, 3) um^2."""
         return self._cholesky @ self._cholesky.T
 
     @property

@@ -90,7 +90,7 @@ class ConfocalPSF(RadialPSF):
         return self._detection.with_wavelength(self._values["excitation"])
 
     def _bandwidth(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: of the intensity."""
+        """Return the bandwidth of the intensity, rad/um along Z, Y, X."""
         emitted, exciting = self._detection._bandwidth(), self._excitation()._bandwidth()
         z, y, x = (a + b for a, b in zip(emitted, exciting, strict=True))
         return z, y, x
@@ -167,7 +167,7 @@ class LightSheetPSF(TablePSF):
         self._outgrown = self._detection._known is not planes
 
     def _bandwidth(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: of the intensity."""
+        """Return the bandwidth of the intensity, rad/um along Z, Y, X."""
         z, y, x = self._detection._bandwidth()
         return z + 5 * _FWHM / self._number("sheet"), y, x
 

@@ -116,7 +116,7 @@ class ObjectivePSF(RadialPSF):
         return torch.ones_like(s)
 
     def _bandwidth(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: of the intensity."""
+        """Return the bandwidth of the intensity, rad/um along Z, Y, X."""
         s, n = float(self._aperture().detach()), self._number("index")
         k = 2 * pi / self._number("wavelength")
         return k * (n - sqrt(n * n - s * s)), 2 * k * s, 2 * k * s

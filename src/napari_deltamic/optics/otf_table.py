@@ -226,7 +226,7 @@ class RadialPSF(TablePSF):
         self._r_weight = 2 * pi * self._r * self._line_weight
 
     def intensity_at(self, z: Tensor, r: Tensor) -> Tensor:
-        """(Nz, Nr) intensity at focus positions ``z`` and distances ``r`` from the axis (um)."""
+        """Return (Nz, Nr) intensity at focus positions ``z`` and axis distances ``r`` (um)."""
         raise NotImplementedError
 
     def _intensity(self, z: Tensor) -> Tensor:

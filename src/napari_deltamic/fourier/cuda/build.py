@@ -102,7 +102,7 @@ class Kernels(Protocol[Of]):
 
     @property
     def build(self) -> Of:
-        """What they were made with."""
+        """The build from which they were compiled."""
 
     def launch(self, name: str, grid: tuple[int, int], arguments: Sequence[Any]) -> None:
         """Start a kernel on the current stream; the arguments are ctypes values."""

@@ -160,7 +160,7 @@ def spread(
     device: torch.device,
     vectors: Tensor | None = None,
 ) -> Tensor:
-    """(Z, Y, X) grid; see :func:`napari_deltamic.fourier.particle_mesh.spread`."""
+    """Spread as :func:`napari_deltamic.fourier.particle_mesh.spread` does."""
     e = _Elements(kernels, vertices, elements, points, spreading, device)
     along = None if vectors is None else _double(vectors, device)
     located = e.located(_double(density, device), along)

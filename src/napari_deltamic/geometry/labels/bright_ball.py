@@ -84,7 +84,7 @@ class Ball:
 
     @property
     def surely(self) -> float:
-        """By how much the ball is brighter, less ``RULES.sure`` standard errors."""
+        """How much brighter the ball is, less ``RULES.sure`` standard errors."""
         return self.brighter - RULES.sure * self.error
 
 

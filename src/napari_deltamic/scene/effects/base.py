@@ -186,7 +186,7 @@ class DepthEffect(Effect):
     where: ClassVar[Where] = "object"
 
     def depths(self, centroids: Tensor, frame: Grid) -> Tensor:
-        """(F,) relative depth: 0 in the first slice and before, 1 in the last and beyond."""
+        """Return (F,) relative depths: 0 up to the first slice, 1 from the last on."""
         raise NotImplementedError
 
     def transfers(self, axes: Axes) -> tuple[Tensor, Tensor]:

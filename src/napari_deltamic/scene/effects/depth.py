@@ -95,7 +95,7 @@ class DepthPSF(DepthEffect):
         return sqrt(2 * largest * log(1 / max(share, 1e-12)))
 
     def depths(self, centroids: Tensor, frame: Grid) -> Tensor:
-        """(F,) relative depth: 0 in the first slice and before, 1 in the last and beyond."""
+        """Return (F,) relative depths: 0 up to the first slice, 1 from the last on."""
         first, last = frame.extent
         depth = (centroids[:, 0] - float(first[0])) / max(float(last[0] - first[0]), 1e-12)
         return depth.clamp(0, 1)
