@@ -1,4 +1,4 @@
-"""Bands: which wavevectors are computed, and the way from there to an image.
+"""Bands: which wavevectors are computed, and the transform from there to an image.
 
 The optical transfer function (OTF) is a low-pass filter, so only wavevectors near zero matter; the
 image is real, so half of them suffice.
@@ -48,7 +48,7 @@ class Band:
         radius: tuple[float, float, float],
         aligned: bool = True,
     ) -> Band:
-        """The band inside an ellipsoid of half axes ``radius`` (rad/um), cut off at the grid's own.
+        """Make the band inside an ellipsoid of half axes ``radius`` (rad/um), within the grid's.
 
         Where the ellipsoid is tilted (not ``aligned``), ``radius`` are the half sides of the box
         around it, and all of the box is the band.
@@ -61,12 +61,12 @@ class Band:
 
     @classmethod
     def full(cls, fft_shape: tuple[int, int, int], voxel_size: tuple[float, float, float]) -> Band:
-        """Every wavevector of the grid."""
+        """Make the band of every wavevector of the grid."""
         return cls(fft_shape, voxel_size, tuple(n // 2 for n in fft_shape))  # type: ignore[arg-type]
 
     @property
     def spacing(self) -> tuple[float, float, float]:
-        """rad/um from one index to the next."""
+        """Wavenumber (rad/um) from one index to the next, along each axis."""
         z, y, x = (2 * pi / (n * d) for n, d in zip(self.fft_shape, self.voxel_size, strict=True))
         return z, y, x
 
@@ -105,7 +105,7 @@ class Band:
 
     @cached_property
     def row_index(self) -> Tensor:
-        """Where the entries of the rows lie in the flattened box."""
+        """Positions of the rows' entries in the flattened box."""
         r = self.rows.to(torch.int64)
         _, ny, nx = self.box_shape
         first = ((r[:, 0] + self.half[0]) * ny + r[:, 1] + self.half[1]) * nx
@@ -118,7 +118,7 @@ class Band:
         return int(self.rows[:, 2].sum())
 
     def to_box(self, values: Tensor) -> Tensor:
-        """Row entries (K,) -> box, zero outside the ellipsoid."""
+        """Put row entries (K,) into the box, which is zero outside the ellipsoid."""
         box = values.new_zeros(self.box_shape).reshape(-1)
         index = self._row_index_on(values.device)
         return box.index_copy(0, index, values).reshape(self.box_shape)
@@ -130,7 +130,7 @@ class Band:
 
     @cached_property
     def _row_indices(self) -> dict[torch.device, Tensor]:
-        """``row_index`` on each device that asked for it."""
+        """``row_index`` on each device that has used it."""
         return {self.row_index.device: self.row_index}
 
     def to_image(
@@ -140,10 +140,10 @@ class Band:
         otf: Tensor | None = None,
         known: Tensor | None = None,
     ) -> Tensor:
-        """Inverse transform of a box, cropped to ``shape`` voxels from the origin on.
+        """Inverse-transform a box and crop the result to ``shape`` voxels from the origin on.
 
-        The box, times the OTF where one is given, is the transform of a density per um^3 ; the
-        result is what falls into each voxel. known : the result, where only gradients are wanted.
+        The box, times the OTF if one is given, is the transform of a density per um^3; the result
+        is the amount in each voxel. known : the result, if only its gradients are wanted.
         """
         if shape not in self._inverse:
             self._inverse[shape] = self._inverse_to(shape)
@@ -152,7 +152,7 @@ class Band:
         return _Image.apply(box, otf, self._inverse[shape], known)
 
     def _inverse_to(self, shape: tuple[int, int, int]) -> RealFFT:
-        # On an even axis +n/2 and -n/2 are one wavevector: their mean counts, as an image is real.
+        # On an even axis +n/2 and -n/2 are one wavevector: their mean is taken, as images are real.
         z, y = (
             np.where(2 * np.abs(np.arange(-k, k + 1)) == n, 0.5, 1.0) / n
             for k, n in zip(self.half[:2], self.fft_shape[:2], strict=True)
@@ -164,7 +164,7 @@ class Band:
 
     @cached_property
     def _inverse(self) -> dict[tuple[int, int, int], RealFFT]:
-        """Inverse transforms by the shape of the image."""
+        """Inverse transforms, by the shape of the image."""
         return {}
 
 

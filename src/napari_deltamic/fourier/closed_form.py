@@ -18,7 +18,7 @@ from ..errors import InputError
 from .native import native, simd_level, threads
 from .triangle import cross, triangle_transform
 
-_PAIRS_AT_ONCE = 1 << 20  # of the torch path: bounds its memory
+_PAIRS_AT_ONCE = 1 << 20  # of a face and a wavevector, on torch's path: bounds its memory
 
 
 def mesh_ft(
@@ -64,7 +64,7 @@ def mesh_ft(
 def as_mesh_tensors(
     vertices: Tensor | np.ndarray, faces: Tensor | np.ndarray, density: Tensor | np.ndarray | None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Checked tensors (vertices, int64 faces, densities); raises InputError."""
+    """Return checked tensors: vertices, int64 faces, densities. InputError if they do not fit."""
     v = torch.as_tensor(vertices)
     if not v.is_floating_point():
         v = v.to(torch.float64)
@@ -156,7 +156,7 @@ def band_ft(
     spacing: Sequence[float],
     single: bool,
 ) -> Tensor:
-    """Closed form on the rows of a band; see :class:`napari_deltamic.fourier.Band`.
+    """Compute the closed form on the rows of a band; see :class:`napari_deltamic.fourier.Band`.
 
     ``rows`` is (R, 3) int32 of kz, ky and length; row r holds the wavevectors
     ``(kz, ky, kx) * spacing``, kx = 0 ... length-1. Returns the rows one after the other.
@@ -225,7 +225,7 @@ def _band_ft_backward(
 
 
 def _differentiable(forward: Any, backward: Any) -> None:
-    """Registers a backward, and what it gives where only shapes are asked for."""
+    """Register the backward of an operator, and a version of it that computes only shapes."""
 
     def save(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
         ctx.save_for_backward(*inputs[:4])
@@ -298,7 +298,7 @@ def _chunks(wavevectors: Tensor, faces: int) -> list[slice]:
 def _torch_parts(
     vertices: Tensor, faces: Tensor, wavevectors: Tensor, single: bool
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Edges (F, 3, 3), doubled areas (F, 3), exp(-iC) and S (F, K), gradients (3, F, K)."""
+    """Return edges (F, 3, 3), doubled areas (F, 3), exp(-iC) and S (F, K), gradients (3, F, K)."""
     corners = vertices.to(torch.float64)[faces]
     edges = torch.stack([corners[:, (p + 2) % 3] - corners[:, (p + 1) % 3] for p in range(3)], 1)
     normal = cross(edges[:, 2], edges[:, 0])

@@ -1,8 +1,8 @@
-"""What computing costs: work counted beforehand, times the seconds that each kind of it takes.
+"""The time that a rendering takes: amounts of work, times the seconds that each kind takes.
 
 A rendering is a handful of kinds of work (pairs of a face and a wavevector, points, cells of a
-kernel, cells of an FFT, pixels). Nothing is timed here: the choice between the methods goes by
-built-in costs, those of a machine are measured by :mod:`napari_deltamic.accuracy.calibration`.
+kernel, cells of an FFT, pixels). Nothing is timed here: the choice between the methods uses
+built-in costs; those of a machine are measured by :mod:`napari_deltamic.accuracy.calibration`.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _SMALL_PHASE = 1.2
 
 @dataclass(frozen=True)
 class Work:
-    """What there is to compute, by kind.
+    """The amount of work of each kind.
 
-    lines : of a face and a row of wavevectors, for the closed form.
-    small_pairs, large_pairs : of a face and a wavevector, by the branch of the closed form.
-    points : of the quadrature.
-    kernel : points x rows of nodes that each is spread over.
-    cells : nodes of the grid of the particle-mesh, x log2 of their number.
-    pixels : of the FFTs along each axis from the band to the image, x log2 of their length.
+    lines : pairs of a face and a row of wavevectors, for the closed form.
+    small_pairs, large_pairs : pairs of a face and a wavevector, by the closed form's branch.
+    points : quadrature points.
+    kernel : points x rows of nodes that each point is spread over.
+    cells : nodes of the particle-mesh's grid x log2 of their number.
+    pixels : of the FFTs along each axis from the band to the image x log2 of their length.
     """
 
     lines: float = 0.0
@@ -57,26 +57,26 @@ class Rates:
     pixels: float
 
     def seconds(self, work: Work) -> float:
-        """Seconds of one call that does this work."""
+        """Return the seconds of one call that does this work."""
         return self.call + float(np.dot(astuple(self)[1:], astuple(work)))
 
 
 @dataclass(frozen=True)
 class Costs:
-    """Seconds that each kind of work takes, per thread setting of a machine.
+    """Seconds that each kind of work takes on a machine, with its number of threads.
 
     Attributes
     ----------
     single, double
         Rates by precision, each forward and with the gradient.
     vertex
-        Of one solve of the preconditioner with three columns, per vertex.
+        One solve of the preconditioner with three columns, per vertex.
     voxel
-        Of the loss and its gradient, per voxel that counts.
+        Loss and its gradient, per counted voxel.
     face
-        Of planning, per face.
+        Planning, per face.
     tap
-        Of blurring, per voxel and coefficient of the filter.
+        Blurring, per voxel and coefficient of the filter.
     measured
         Whether they were measured on this machine.
     """
@@ -92,13 +92,13 @@ class Costs:
     measured: bool = False
 
     def rates(self, single: bool, gradient: bool) -> Rates:
-        """Rates for a precision, forward only or with the gradient."""
+        """Return the rates for a precision, forward only or with the gradient."""
         if single:
             return self.single_gradient if gradient else self.single_forward
         return self.double_gradient if gradient else self.double_forward
 
     def seconds(self, work: Work, single: bool, gradient: bool = True) -> float:
-        """Seconds of one rendering, with its gradient or without."""
+        """Return the seconds of one rendering, with its gradient or without."""
         return self.rates(single, gradient).seconds(work)
 
 
@@ -113,21 +113,21 @@ def count_work(
     rules: list[tuple[Rule, np.ndarray]],
     spreading: Spreading | None,
 ) -> Work:
-    """The work of one rendering.
+    """Count the work of one rendering.
 
     Parameters
     ----------
     band, rules, spreading
         Of the plan.
     phases
-        (F,) largest phase along an edge of each face in the band (any number of faces' will do: it
-        is a mean that counts).
+        Largest phase along an edge of each face in the band; those of some faces suffice, as only
+        their mean is used.
     """
     pixels = _image_pixels(band, band.fft_shape)
     if method == "closed form":
         pairs = float(band.count) * faces
-        # The phase along an edge, over a ball of wavevectors, is that at its rim times the radius
-        # times the cosine of an angle: the share of the ball below the limit.
+        # Share of a ball of wavevectors below the limit: the phase along an edge is that at the rim
+        # times the relative radius times the cosine of an angle.
         x = np.minimum(1.0, _SMALL_PHASE / np.maximum(phases, 1e-300))
         small = float((1.5 * x - 0.5 * x**3).mean()) if len(phases) else 1.0
         lines = float(len(band.rows)) * faces
@@ -145,7 +145,7 @@ def count_work(
 
 
 def _image_pixels(band: Band, shape: tuple[int, int, int]) -> float:
-    """Work of the three passes of `Band.to_image`."""
+    """Return the work of the three passes of `Band.to_image`."""
     n, (_, ny, nx) = band.fft_shape, band.box_shape
     passes = (
         (n[0] * ny * nx, n[0]),
@@ -155,8 +155,8 @@ def _image_pixels(band: Band, shape: tuple[int, int, int]) -> float:
     return float(sum(size * log2(length + 1) for size, length in passes))
 
 
-# One core of 2024, measured with `calibrate`. The choice between the methods is always made with
-# these: the same settings then give the same image on every machine, measured or not.
+# One core of 2024, measured with `calibrate`. The method is always chosen with these costs, so that
+# the same settings give the same image on every machine, whether calibrated or not.
 BUILT_IN = Costs(
     single_forward=Rates(2.5e-4, 1e-8, 1e-10, 3e-9, 3e-8, 6e-10, 9e-11, 1.9e-10),
     single_gradient=Rates(6e-4, 3.8e-8, 5e-10, 6.1e-9, POINT, ROW, NODE, 3.5e-10),
@@ -167,8 +167,8 @@ BUILT_IN = Costs(
     face=3.8e-7,
     tap=3.4e-10,
 )
-# A data-centre GPU: estimates from the instructions that the kernels take and from what is written
-# of cuFFT, not measured.
+# A data-centre GPU: estimated from the instructions of the kernels and from publications on cuFFT,
+# not measured.
 _BUILT_IN_CUDA = Costs(
     single_forward=Rates(1e-4, 0.0, 2e-12, 8e-12, 1e-9, 5e-11, 4e-13, 4e-13),
     single_gradient=Rates(4e-4, 0.0, 6e-12, 2.4e-11, 3e-9, 3e-10, 2e-12, 8e-13),
@@ -182,5 +182,5 @@ _BUILT_IN_CUDA = Costs(
 
 
 def built_in(device: str) -> Costs:
-    """The costs that choices are made with, for a type of device."""
+    """Return the costs with which methods are chosen for a type of device."""
     return _BUILT_IN_CUDA if device == "cuda" else BUILT_IN

@@ -16,14 +16,14 @@ Told = tuple[float, float, float, float, bool]
 
 
 def products(columns: Sequence[Tensor], weights: Tensor) -> NDArray[np.float64]:
-    """(K, K) weighted products of columns, each with each, in double precision.
+    """Return (K, K) weighted inner products of all pairs of columns, in double precision.
 
-    The same bits for every number of threads.
+    The result has the same bits for every number of threads.
 
     Parameters
     ----------
     columns
-        1 to 64 of (N,), on the CPU.
+        1 to 64 columns (N,), on the CPU.
     weights
         (N,).
     """
@@ -39,10 +39,10 @@ def products(columns: Sequence[Tensor], weights: Tensor) -> NDArray[np.float64]:
 def explain(
     image: Tensor, index: Tensor, measured: Tensor, weights: Tensor, least: float
 ) -> tuple[Tensor, Told]:
-    """Weighted squares that amplitude and background leave, differentiable in the image.
+    """Return the weighted squared residual of the best amplitude and background.
 
-    Two passes over the voxels that count, the gradient in passing; the same bits for every number
-    of threads.
+    It is differentiable in the image. Two passes over the counted voxels give it and the gradient,
+    with the same bits for every number of threads.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def explain(
     measured, weights
         (N,) float32, of these voxels.
     least
-        Bound of the amplitude, of the ratio of the standard deviations of both images.
+        Least amplitude, as a share of the ratio of the standard deviations of both images.
 
     Returns
     -------
-    The squares, and: their value, that relative to the squares around the mean, amplitude,
-    background, and whether the amplitude met its bound.
+    The squared residual as a tensor, and: its value, that value relative to the squares around the
+    mean, amplitude, background, and whether the amplitude is at its bound.
 
     Raises
     ------

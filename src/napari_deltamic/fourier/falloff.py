@@ -1,4 +1,4 @@
-"""How the power of what shines falls with the wavevector, and what a smaller band leaves out."""
+"""How the power of a shape falls with the wavevector, and the error of leaving out a part."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class Falloff:
         does not fall. Something thin (a speck, a thread, a flake) lies between a point and a
         surface, and the point's law is an upper bound for it.
     turn
-        1 / width of the PSF: below it what shines is seen as one piece.
+        In 1 / width of the PSF: below it the shape looks like a point.
     """
 
     order: int = 0
     turn: float = inf
 
     def of(self, squared: _Numbers) -> _Numbers:
-        """The power at wavevectors of these squared lengths, in 1 / width^2."""
+        """Return the power at wavevectors of these squared lengths, in 1 / width^2."""
         if not self.order:
             return squared**0
         return (squared / self.turn**2).clip(1.0, None) ** (-self.order / 2)
 
     def of_a_wall(self) -> Falloff:
-        """Along its normal, of a flat wall: 1 at each wavevector; that of a solid still falls."""
+        """Return the falloff along a flat wall's normal: none for surfaces, order 2 for solids."""
         return Falloff(max(self.order - 2, 0), self.turn)
 
 
@@ -45,15 +45,15 @@ POINT_LIKE = Falloff()
 
 
 def of_surface(area: float, volume: float) -> Falloff:
-    """Falloff of a surface around a volume: ``2 pi / (area xi^2)``; all in widths of the PSF."""
+    """Return the falloff of a surface, ``2 pi / (area xi^2)``; lengths are in widths of the PSF."""
     if 2 * volume <= 1.5 * area:
         return POINT_LIKE
-    # Rounded, to the safe side, so that the tables of one mesh serve its neighbours.
+    # Rounded to the safe side, so that the tables of one mesh serve similar ones.
     return Falloff(2, sqrt(2 * pi / 2.0 ** (floor(2 * log2(max(area, 1e-6))) / 2)))
 
 
 def of_solid(area: float, volume: float) -> Falloff:
-    """Falloff of a solid, in widths of the PSF: ``2 pi area / xi^4`` far out.
+    """Return the falloff of a solid, ``2 pi area / xi^4`` far out; lengths are in PSF widths.
 
     It turns where the sum over all wavevectors is that of the volume (Parseval), at ``4 area / (3
     pi volume)``; thinner than the PSF, a solid is seen as the surface is.
@@ -65,7 +65,7 @@ def of_solid(area: float, volume: float) -> Falloff:
 
 
 def band_error(threshold: float, falloff: Falloff) -> float:
-    """Relative L2 error of an image when |OTF| < threshold is left out, for a Gaussian OTF."""
+    """Return the relative L2 error of leaving out |OTF| < threshold, for a Gaussian OTF."""
     reach = sqrt(2 * log(1 / threshold))
     if not falloff.order:
         return sqrt(erfc(reach) + 2 / sqrt(pi) * reach * exp(-(reach**2)))
@@ -73,7 +73,7 @@ def band_error(threshold: float, falloff: Falloff) -> float:
 
 
 def _beyond(first: float, falloff: Falloff) -> float:
-    """Integral of ``exp(-k^2) k^2`` times the power from ``first`` on."""
+    """Integrate ``exp(-k^2) k^2`` times the power from ``first`` on."""
     from scipy.integrate import quad
 
     def power(k: float) -> float:
@@ -88,7 +88,7 @@ def _beyond(first: float, falloff: Falloff) -> float:
 
 @cache
 def threshold_for(error: float, falloff: Falloff) -> float:
-    """The threshold whose :func:`band_error` is ``error``; at most a half."""
+    """Return the threshold whose :func:`band_error` is ``error``; at most one half."""
     from scipy.optimize import brentq
 
     def excess(log_threshold: float) -> float:

@@ -1,4 +1,4 @@
-"""Fourier transform of filaments (polylines) and of points, with the plan an accuracy asks for.
+"""Fourier transform of filaments (polylines) and of points, planned for an accuracy.
 
 A straight segment from a to b of length L has ``L exp(-i (a+b)/2.xi) sin(h) / h`` with
 ``h = (b-a).xi / 2``; a point x has ``exp(-i x.xi)``.
@@ -40,7 +40,7 @@ _PAIRS_AT_ONCE = 1 << 20  # bounds the memory of the closed forms
 
 
 def path_segments(count: int) -> np.ndarray:
-    """(S, 2) segments that join ``count`` vertices one after the other.
+    """Return (S, 2) segments that join ``count`` vertices one after the other.
 
     Raises InputError for fewer than two vertices.
     """
@@ -55,15 +55,15 @@ def path_segments(count: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class LinePlan:
-    """How u_hat of segments or points is computed on a band; as :class:`Plan` for triangles.
+    """How u_hat of segments or points is computed on a band, like :class:`Plan` for triangles.
 
     Attributes
     ----------
     rules
-        Of the segments, each with theirs; empty for points, and for the closed form.
+        Quadrature rules, each with its segments; empty for points and for the closed form.
     work
-        What one rendering by the particle-mesh computes; the closed form, which is for checking,
-        takes a sine, a cosine and about ten passes over each pair of an element and a wavevector.
+        Work of one rendering by the particle-mesh. The closed form, which serves as a check, takes
+        a sine, a cosine and about ten passes over each pair of an element and a wavevector.
     """
 
     method: Method
@@ -75,7 +75,7 @@ class LinePlan:
     work: Work
 
     def transform(self, vertices: Tensor, elements: Tensor, weights: Tensor) -> Tensor:
-        """u_hat on the box of the band, differentiable in vertices and weights.
+        """Return u_hat on the box of the band, differentiable in vertices and weights.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ def make_line_plan(
     transfer: Transfer | None = None,
     margin: float = 1.0,
 ) -> LinePlan:
-    """Choose band and rules for segments (S, 2) or points (P, 1); as :func:`make_plan`.
+    """Choose band and rules for segments (S, 2) or points (P, 1), like :func:`make_plan`.
 
     The power of a line falls more slowly with the wavevector than that of a surface, that of a
     point not at all, so that the band is a little larger. The particle-mesh is taken unless the
@@ -154,7 +154,7 @@ _PHASE = np.linspace(0.0, 16.0, 81)
 
 @cache
 def _line_rule(nodes: int, divisions: int) -> Rule:
-    """Gauss-Legendre on each of equal parts of a segment."""
+    """Return the Gauss-Legendre rule on each of ``divisions`` equal parts of a segment."""
     x, w = np.polynomial.legendre.leggauss(nodes)
     t = ((np.arange(divisions)[:, None] + (x + 1) / 2) / divisions).reshape(-1)
     return Rule(
@@ -164,8 +164,10 @@ def _line_rule(nodes: int, divisions: int) -> Rule:
 
 @cache
 def _largest_phases(threshold: float, error: float) -> tuple[float, ...]:
-    """For each number of nodes, the longest segment (rad at the edge of the band) that keeps to
-    ``error``, by the mean over directions and over the band of a Gaussian OTF."""
+    """Longest segment (rad at the edge of the band) that keeps to ``error``, by number of nodes.
+
+    The error is a mean over directions and over the band of a Gaussian OTF.
+    """
     u = (np.arange(32) + 0.5) / 32  # cosine of the angle to the segment: even over the sphere
     s = np.linspace(0.01, 1.0, 100)
     weight = s**2 * threshold ** (2 * s**2)
@@ -190,7 +192,7 @@ def _largest_phases(threshold: float, error: float) -> tuple[float, ...]:
 def _choose_line_rules(
     phases: np.ndarray, threshold: float, error: float
 ) -> list[tuple[Rule, np.ndarray]]:
-    """The cheapest rule for each segment, with the segments that take it."""
+    """Choose the cheapest rule for each segment; returns rules with the segments that take them."""
     limits = _largest_phases(threshold, error)
     choices = [(n, limit) for n, limit in zip(_NODES, limits, strict=True) if limit > 0]
     by_rule: dict[tuple[int, int], list[int]] = {}
@@ -204,7 +206,7 @@ def _choose_line_rules(
 
 
 def _in_chunks(part: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
-    """``part`` at all wavevectors (the last tensor), some at a time; the gradient computes anew."""
+    """Evaluate ``part`` on chunks of the wavevectors (last tensor); the gradient recomputes it."""
     *elements, xi = tensors
     step = max(1, _PAIRS_AT_ONCE // max(len(elements[0]), 1))
     parts = [torch.zeros(0, dtype=torch.complex128)]

@@ -1,4 +1,4 @@
-"""Plans put together by hand: what an accuracy would choose is compared with them."""
+"""Plans put together by hand, with which those chosen for an accuracy are compared."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def fixed_plan(
     aligned: bool,
     transfer: Transfer,
 ) -> Plan:
-    """The closed form, or the particle-mesh with one rule on every face, on a given band.
+    """Make a plan of the closed form, or of one quadrature rule for all faces, on a given band.
 
     Parameters
     ----------
     vertices, faces, fft_shape, voxel_size, width, aligned, transfer
-        As of :func:`napari_deltamic.fourier.make_plan`.
+        As in :func:`napari_deltamic.fourier.make_plan`.
     threshold
         |OTF| at the edge of the band; 0 for every wavevector of the grid.
     degree
-        Of the rule; None for the closed form.
+        Degree of the rule; None for the closed form.
     single
         Whether in single precision.
     """

@@ -1,4 +1,4 @@
-"""Flux of weighted area vectors, by the particle-mesh: what solids are made of.
+"""Flux of weighted area vectors by the particle-mesh, from which solids are computed.
 
 See :mod:`napari_deltamic.fourier.solid` for the formulas.
 """
@@ -19,20 +19,20 @@ from .spreading import Spreading
 
 
 def within(half: Sequence[int], of: Sequence[int]) -> tuple[slice, slice, slice]:
-    """Where a smaller box lies in a larger one."""
+    """Return the slices of a smaller box of wavevectors in a larger one."""
     (kz, ky, kx), (nz, ny, _) = half, of
     return slice(nz - kz, nz + kz + 1), slice(ny - ky, ny + ky + 1), slice(0, kx + 1)
 
 
 def box_axes(half: Sequence[int], spacing: Sequence[float]) -> list[np.ndarray]:
-    """Components of the wavevectors of a box, rad/um, shaped to broadcast over it."""
+    """Return the wavevector components of a box, rad/um, shaped to broadcast over it."""
     first = (-half[0], -half[1], 0)
     axes = [np.arange(a, k + 1) * s for a, k, s in zip(first, half, spacing, strict=True)]
     return list(np.ix_(*axes))
 
 
 def inverse_square(half: Sequence[int], spacing: Sequence[float]) -> np.ndarray:
-    """1 / |xi|^2 on a box, 0 at zero."""
+    """Return 1 / |xi|^2 on a box, 0 at zero."""
     squared = sum(a**2 for a in box_axes(half, spacing))
     return np.divide(1.0, squared, out=np.zeros(np.shape(squared)), where=squared > 0)
 
@@ -45,7 +45,7 @@ def _weights(
     real: torch.dtype,
     device: torch.device,
 ) -> Tensor:
-    """``1 / |xi|^2`` on the box of a band, 0 within the low box."""
+    """Return ``1 / |xi|^2`` on the box of a band, 0 within the low box."""
     inverse = inverse_square(half, spacing)
     inverse[within(low, half)] = 0
     return torch.from_numpy(inverse).to(device, real)
@@ -61,11 +61,11 @@ def flux_ft(
     low: tuple[int, int, int],
     single: bool,
 ) -> Tensor:
-    """``(i / |xi|^2) xi . sum over faces of contrast areas exp(-i xi.x)``, 0 within the low box.
+    """Return ``(i / |xi|^2) xi . sum over faces of contrast areas exp(-i xi.x)``, 0 in the low box.
 
-    The gradient in the vertices, of a closed surface, is that of the solid: at every wavevector,
-    the low ones included, and with what the area vectors change. So neither the areas nor the
-    shells of the low box need any.
+    For a closed surface, its gradient in the vertices is that of the whole solid: at all
+    wavevectors, also in the low box, and including the change of area vectors. So neither the
+    areas nor the shells of the low box need gradients of their own.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class _Flux(torch.autograd.Function):
         faces, areas, points, spreading, low, single = rest
         ctx.save_for_backward(vertices, contrast)
         ctx.rest = rest
-        # Dipoles along the areas: the divergence of the flux, i xi . its transform.
+        # Dipoles along the area vectors give the divergence of the flux: i xi . its transform.
         grid = spread(
             vertices, faces, contrast, points, spreading, single, vertices.device, vectors=areas
         )

@@ -7,9 +7,9 @@ to zero at its edge with its derivative, so that neither an image nor its gradie
 point crosses a line of the grid. Against the window of order 0 that costs a factor of 1.5 to 2 in
 error.
 
-What is computed with is not the window but a polynomial on each of the W intervals between nodes,
-which keeps its value and slope at the nodes, and the derivative of that very polynomial. Its own
-transform, not the window's, is divided by afterwards.
+Computations use not the window itself but a polynomial on each of the W intervals between nodes,
+which keeps its value and slope at the nodes, and the derivative of that very polynomial. Results
+are divided by the polynomials' own transform, not by that of the window.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ _HIGHEST = 20  # degree of a polynomial
 _ALIASES = np.array([1, -1, 2, -2, 3, -3])  # later ones fall as the third power
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(20)  # on an interval: exact to 3.5 cycles
 _NO_KERNEL = 1e300  # square of the error where a kernel's transform vanishes within the band
-# Shapes that are tried, times ``pi W (1 - 1 / 2s)``, with s the wavenumber of the grid over that of
-# the band. What is best falls from 1.07 to 0.6 between an OTF that has decayed at the edge of the
-# band and a flat one.
+# Values of beta that are tried, over ``pi W (1 - 1 / 2s)``, with s the wavenumber of the grid over
+# that of the band. The best one falls from 1.07, for an OTF that has decayed at the edge of the
+# band, to 0.6 for a flat one.
 _SHAPES = np.array([0.6, 0.7, 0.8, 0.88, 0.95, 1.0, 1.07])
 
 
 @dataclass(frozen=True, eq=False)
 class AxisWeights:
-    """What there is along an axis of wavevectors, in several kinds of scenes.
+    """The power along an axis of wavevectors, in several kinds of scenes.
 
     Attributes
     ----------
@@ -45,8 +45,9 @@ class AxisWeights:
     power
         (kinds, n) shares of the power at each.
     slope
-        (kinds,) 0 for an image. For a gradient, in which an alias weighs as much more as its
-        wavevector is longer: 1 over the root mean square of all wavevectors, in steps of the index.
+        (kinds,) 0 for an image. For a gradient, in which an alias weighs more by the factor by
+        which its wavevector is longer: 1 over the root mean square of all wavevectors, in steps of
+        the index.
     """
 
     index: np.ndarray
@@ -58,33 +59,33 @@ class AxisWeights:
 class Kernel:
     """Polynomials (degree + 1, width) in ``t = 2 f - 1``, highest power first.
 
-    The l-th of them holds on the l-th node from the kernel's lower edge on, with f in 0..1 how far
-    the first node lies behind that edge.
+    The l-th gives the value at the l-th node from the kernel's lower edge on; f in 0..1 is the
+    distance of the first node from that edge.
     """
 
     coefficients: np.ndarray
 
     @property
     def width(self) -> int:
-        """Nodes along an axis that a point is spread over."""
+        """Number of nodes along an axis that a point is spread over."""
         return int(self.coefficients.shape[1])
 
     @cached_property
     def _at_nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places relative to the centre, and values times weights, to integrate over it."""
+        """Places relative to the centre, and values times weights, to integrate over the kernel."""
         values = polynomial.polyval(_NODES, self.coefficients[::-1])
         middle = np.arange(self.width) + 0.5 - self.width / 2
         places = middle[:, None] + _NODES / 2
         return places.ravel(), (values * _NODE_WEIGHTS / 2).ravel()
 
     def transform(self, cycles: np.ndarray) -> np.ndarray:
-        """Its Fourier transform at wavenumbers in cycles per node."""
+        """Return its Fourier transform at wavenumbers in cycles per node."""
         places, values = self._at_nodes
         return np.cos(2 * pi * np.multiply.outer(cycles, places)) @ values
 
 
 def fitted(width: int, beta: float, degree: int) -> Kernel:
-    """Polynomials of a degree (3 or more) that keep the window's value and slope at the nodes."""
+    """Fit polynomials (degree 3 or more) that keep the window's value and slope at the nodes."""
 
     def window(x: np.ndarray) -> np.ndarray:
         z = np.sqrt(np.maximum(1 - (2 * x / width) ** 2, 0.0))
@@ -102,7 +103,7 @@ def fitted(width: int, beta: float, degree: int) -> Kernel:
     cubic = _in_t(in_f)
     if degree < 4:
         return Kernel(cubic[::-1].copy())
-    # What is left vanishes at both ends with its slope: (1 - t^2)^2 times a polynomial.
+    # The rest vanishes at both ends with its slope: it is (1 - t^2)^2 times a polynomial.
     n = degree - 3
     t = chebyshev.chebpts1(n)
     left_over = window(left[:, None] + (t + 1) / 2).T - polynomial.polyval(t, cubic).T
@@ -113,10 +114,10 @@ def fitted(width: int, beta: float, degree: int) -> Kernel:
 
 
 def _raised(n: int) -> np.ndarray:
-    """Powers of t in ``(1 - t^2)^2 T_k(t)``, lowest first, for k from 0 to n - 1 (n + 4, n).
+    """Return (n + 4, n) powers of t, lowest first, of ``(1 - t^2)^2 T_k(t)`` for k from 0 to n - 1.
 
-    Made once for whole Chebyshev polynomials: numpy drops leading zeros of a sum of them, which
-    rounding leaves or not, so that lengths would differ from one processor to the next.
+    One for each Chebyshev polynomial, not for a sum of them: NumPy drops leading zeros of a sum,
+    which depend on rounding, so that lengths would differ between processors.
     """
     bump = np.array([1.0, 0, -2, 0, 1])
     columns = np.zeros((n + 4, n))
@@ -126,7 +127,7 @@ def _raised(n: int) -> np.ndarray:
 
 
 def _in_t(powers_of_f: np.ndarray) -> np.ndarray:
-    """(4, width) powers of ``t = 2 f - 1`` in cubics of f, both lowest first, by Horner's rule."""
+    """Convert (4, width) cubics of f to powers of ``t = 2 f - 1``, both lowest first (Horner)."""
     total = np.zeros_like(powers_of_f)
     for c in powers_of_f[::-1]:
         total = total / 2
@@ -136,13 +137,13 @@ def _in_t(powers_of_f: np.ndarray) -> np.ndarray:
 
 
 def window_transform(cycles: np.ndarray, width: int, beta: np.ndarray | float) -> np.ndarray:
-    """Transform of the window up to a constant: ``i_2(y) / y^2``, ``y^2 = beta^2 - (pi W k)^2``."""
+    """Window's transform over a constant: ``i_2(y) / y^2``, ``y^2 = beta^2 - (pi W k)^2``."""
     squared = np.asarray(beta) ** 2 - (pi * width * cycles) ** 2
     y = np.sqrt(np.abs(squared))
     safe = np.maximum(y, 0.3)
     grows = ((safe**2 + 3) * np.sinh(safe) - 3 * safe * np.cosh(safe)) / safe**5
     waves = ((3 - safe**2) * np.sin(safe) - 3 * safe * np.cos(safe)) / safe**5
-    # Near zero the terms cancel.
+    # Near zero the terms cancel, so a series is used.
     series = 1 / 15 + squared / 210 + squared**2 / 7560
     return np.where(y < 0.3, series, np.where(squared > 0, grows, waves))
 
@@ -150,19 +151,18 @@ def window_transform(cycles: np.ndarray, width: int, beta: np.ndarray | float) -
 def alias_error(
     transform: Callable[[np.ndarray], np.ndarray], nodes: int, weights: AxisWeights
 ) -> np.ndarray:
-    """Relative L2 error of an image that aliases along one axis cause, in the worst kind of scene.
+    """Return the relative L2 error from aliases along one axis, in the worst kind of scene.
 
-    At each wavevector of the band the grid also holds what lies multiples of its ``nodes`` beyond,
-    times the ratio of the kernel's transforms there and here; the OTF then weighs it as it weighs
-    the wavevector itself.
+    At each wavevector of the band the grid also holds those that lie multiples of its ``nodes``
+    beyond, times the ratio of the kernel's transforms there and here; the OTF then weighs them as
+    it weighs the wavevector itself.
 
     Parameters
     ----------
     transform
-        Of the kernel, at cycles per node; may have further axes in front, and so has what comes
-        back.
+        Of the kernel, at cycles per node; may have further axes in front, which the result has too.
     nodes
-        Of the grid along the axis.
+        Number of nodes of the grid along the axis.
     """
     here = transform(weights.index / nodes)
     places = weights.index + nodes * _ALIASES[:, None]
@@ -179,10 +179,10 @@ def alias_error(
 def rounding_error(
     transform: Callable[[np.ndarray], np.ndarray], nodes: int, weights: AxisWeights, unit: float
 ) -> np.ndarray:
-    """Relative L2 error of an image from rounding on the grid, if all three axes are alike.
+    """Return the relative L2 error from rounding on the grid, if all three axes are alike.
 
-    Of the first kind of scene. It is as strong at the edge of the band as in its middle, where the
-    kernel's transform, by which all is divided, may be thousands of times larger.
+    For the first kind of scene. Rounding is as strong at the edge of the band as in its middle,
+    where the kernel's transform, the divisor, may be thousands of times larger.
     """
     here = transform(weights.index / nodes) ** 2
     grown = ((1 / here) @ weights.power[0]) * here.mean(-1)
@@ -192,9 +192,9 @@ def rounding_error(
 def beta_for(
     width: int, nodes: int, weights: AxisWeights, error: float, unit: float
 ) -> float | None:
-    """Beta of the best kernel of this width; None if its error is above ``error``.
+    """Return beta of the best kernel of this width; None if its error is above ``error``.
 
-    ``unit`` is the rounding error of a number.
+    ``unit`` is the rounding error of a single number.
     """
     bandwidth = 1 - weights.index.max() / nodes  # to the first alias, in nodes: 1 - 1 / 2s
     betas = _SHAPES * pi * width * bandwidth
@@ -212,7 +212,7 @@ def beta_for(
 def polynomials_for(
     width: int, beta: float, nodes: int, weights: AxisWeights, error: float
 ) -> Kernel:
-    """Polynomials of the lowest degree that keep to ``error``, aliases of the fit included."""
+    """Return polynomials of the lowest degree that keep to ``error``, including aliases."""
     best: tuple[float, Kernel] | None = None
     for degree in range(3, _HIGHEST + 1):
         kernel = fitted(width, beta, degree)
@@ -227,18 +227,18 @@ def polynomials_for(
 
 @lru_cache(maxsize=256)
 def kernel_for(width: int, beta: float, nodes: int, key: bytes, error: float) -> Kernel:
-    """:func:`polynomials_for`, kept; ``key`` as :func:`packed` makes it."""
+    """Cached :func:`polynomials_for`; ``key`` comes from :func:`packed`."""
     return polynomials_for(width, beta, nodes, unpacked(key), error)
 
 
 def packed(weights: AxisWeights) -> bytes:
-    """Weights as a key, rounded so that a mesh that moves a little finds what was kept."""
+    """Convert weights to a key, rounded so that a mesh that moves a little finds what was kept."""
     rows = np.vstack([weights.index, weights.power])
     slope = np.concatenate([[0.0], weights.slope])
     return np.column_stack([rows, slope]).astype(np.float32).tobytes() + bytes([len(rows)])
 
 
 def unpacked(key: bytes) -> AxisWeights:
-    """The inverse of :func:`packed`."""
+    """Convert a key of :func:`packed` back to weights."""
     rows = np.frombuffer(key[:-1], np.float32).astype(np.float64).reshape(key[-1], -1)
     return AxisWeights(rows[0, :-1], rows[1:, :-1], rows[1:, -1])

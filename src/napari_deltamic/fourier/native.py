@@ -1,4 +1,4 @@
-"""The compiled loops: found once, chosen once, and their absence told once."""
+"""The compiled loops: looked up and chosen once, with one warning if they are missing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..errors import InputError, SlowPathWarning
 
 @cache
 def native() -> ModuleType | None:
-    """The compiled extension, or None (after one warning) where it was not built."""
+    """Return the compiled extension, or None, after one warning, if it was not built."""
     try:
         from . import _mesh_ft  # type: ignore[attr-defined]
     except ImportError:
@@ -31,7 +31,7 @@ def native() -> ModuleType | None:
 
 
 def simd_level() -> str:
-    """Instruction set in use: the best one, or the one named by DELTAMIC_SIMD.
+    """Return the instruction set in use: the best one, or the one named by DELTAMIC_SIMD.
 
     Raises
     ------
@@ -49,5 +49,5 @@ def simd_level() -> str:
 
 
 def threads() -> int:
-    """Worker threads: what torch was told to use."""
+    """Return the number of worker threads, which is torch's."""
     return torch.get_num_threads()

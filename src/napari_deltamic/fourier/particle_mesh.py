@@ -1,4 +1,4 @@
-"""Particle-mesh: weighted points, spread on a real grid, to a band of wavevectors and back.
+"""Particle-mesh: transforms weighted points, by way of a grid, to a band of wavevectors and back.
 
 Points are spread with a compact kernel, one real FFT follows, and the band is divided by the
 kernel's transform. The gradient is one real FFT back and one pass over the points that reads the
@@ -106,11 +106,11 @@ def spread(
     device: torch.device,
     vectors: Tensor | None = None,
 ) -> Tensor:
-    """(Z, Y, X) grid with the points of all elements on it; rows may be longer than X.
+    """Spread the points of all elements on a (Z, Y, X) grid, whose rows may be longer than X.
 
     Each point has the element's density times its measure (area, length, 1) times the rule's
-    weight. With ``vectors`` (E, 3), um of it, points are dipoles: density times weight times the
-    kernel's gradient along the vector, per um.
+    weight. With ``vectors`` (E, 3), points are dipoles along them: density times weight times the
+    kernel's gradient (per um) along the vector, without the measure.
     """
     if not compiled(device):
         given = vertices, elements, density, points, spreading
@@ -140,8 +140,11 @@ def gather(
     field: Tensor,
     slopes: bool = False,
 ) -> Tensor:
-    """(E, corners, 1): sums over each element's points of weight times barycentric coordinate times
-    a field (:func:`field_of`); (E, corners, 4) with its derivatives per um."""
+    """Return sums over each element's points, (E, corners, 1), or (E, corners, 4) with slopes.
+
+    Terms are weight times barycentric coordinate times a field (:func:`field_of`), or its
+    derivatives per um.
+    """
     if not compiled(field.device):
         if (kernels := _kernels(field.device, single)) is not None:
             return on_gpu.gather(kernels, vertices, elements, points, spreading, field, slopes)
@@ -167,7 +170,7 @@ def pull(
     single: bool,
     field: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Gradients (V, 3) of vertices and (E,) of densities, from a field (:func:`field_of`)."""
+    """Return gradients in vertices (V, 3) and densities (E,), from a field (:func:`field_of`)."""
     if not compiled(field.device):
         given = vertices, elements, density, points, spreading
         if (kernels := _kernels(field.device, single)) is not None:
@@ -190,9 +193,9 @@ def pull(
 def field_of(
     box: Tensor, spreading: Spreading, single: bool, weights: Tensor | None = None
 ) -> Tensor:
-    """The adjoint of a grid's way to its box, on the grid, with rows as the loops take them.
+    """Apply the adjoint of the transform from the grid to its box; rows are as the loops need.
 
-    weights : real numbers by which the box is multiplied.
+    weights : real numbers by which the box is multiplied first.
     """
     box = box.detach().to(torch.complex64 if single else torch.complex128)
     row = spreading.shape[2] + (spreading.lanes if compiled(box.device) else 0)
@@ -200,7 +203,7 @@ def field_of(
 
 
 def _kernels(device: torch.device, single: bool) -> Kernels[PointBuild] | None:
-    """Kernels of an NVIDIA GPU; None on other devices, which use torch's operations."""
+    """Return the kernels of an NVIDIA GPU; None on other devices, which use torch's operations."""
     return point_kernels(device, single) if device.type == "cuda" else None
 
 

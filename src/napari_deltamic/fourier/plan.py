@@ -1,4 +1,4 @@
-"""Plan: band, method and quadrature rules for an accuracy, with expected error and time."""
+"""Plans: band, method and quadrature rules for an accuracy, with expected error and time."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from .quadrature import Rule, choose_rules
 from .spreading import Spreading, Transfer, choose_spreading, gaussian
 
 Method = Literal["closed form", "particle-mesh"]
-# Error and falloff (as of :func:`band_error`) -> half axes of the band (rad/um), and the largest
-# |OTF| beyond.
+# From error and falloff (see :func:`band_error`) to half axes of the band (rad/um) and the largest
+# |OTF| outside it.
 Cutoff = Callable[[float, Falloff], tuple[tuple[float, float, float], float]]
 METHODS: tuple[Method, ...] = ("closed form", "particle-mesh")
 
 # Shares of the accuracy: the errors of band, quadrature and aliases are independent and add in
 # squares, so that together they use 97 % of it at most.
 _BAND_SHARE, RULE_SHARE, _ALIAS_SHARE = 0.7, 0.6, 0.3
-# Times the shares of the other two where the grid itself ends the band, so that nothing is cut.
+# Factor on the shares of the other two if the grid itself ends the band, so that nothing is cut.
 _WHOLE = sqrt(1 + _BAND_SHARE**2 / (RULE_SHARE**2 + _ALIAS_SHARE**2))
 _FLAT = 0.1  # |OTF| at the edge of a band that no Gaussian describes: a flat one, to be safe
 # Below this accuracy rounding in single precision would show.
@@ -50,15 +50,15 @@ class Plan:
     method
         ``"closed form"`` or ``"particle-mesh"``.
     accuracy
-        Requested relative L2 error of the rendered image; 0 is the closed form at every wavevector.
+        Requested relative L2 error of the rendered image; 0 for the closed form at all wavevectors.
     expected_error
-        What the plan expects of one rendering.
+        Expected relative L2 error of a rendering.
     spreading
         Grid and kernels of the particle-mesh; None for the closed form.
     work
-        What one rendering computes.
+        Amounts of work of one rendering.
     device
-        Type of the device that it is made for.
+        Type of the device for which it is made.
     """
 
     method: Method
@@ -79,7 +79,7 @@ class Plan:
 
     @property
     def points(self) -> int:
-        """Quadrature points; 0 for the closed form."""
+        """Number of quadrature points; 0 for the closed form."""
         return sum(len(r.weights) * len(f) for r, f in self.rules)
 
     def transform(
@@ -89,7 +89,7 @@ class Plan:
         density: Tensor,
         device: torch.device | None = None,
     ) -> Tensor:
-        """u_hat on the box of the band, differentiable in vertices and density.
+        """Return u_hat on the box of the band, differentiable in vertices and density.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class Plan:
         )
 
     def quadrature_of(self, faces: int) -> Points:
-        """The rules for a mesh of as many faces as the plan was made for."""
+        """Return the rules for a mesh with as many faces as the one it was made for."""
         if faces not in self._points:
             self._points[faces] = Points(self.rules, faces)
         return self._points[faces]
@@ -172,8 +172,8 @@ def make_plan(
         |OTF| with everything that acts on it, whose aliases choose grid and kernels; by default
         that of a Gaussian of this width.
     contrast
-        (F,) what shines behind each face more than in front of it, where that is what is seen,
-        rather than the faces; on any scale. Its power falls faster, so that less of it is computed.
+        (F,) by how much the inside behind each face is brighter than in front of it, on any scale,
+        if insides shine rather than faces. Their power falls faster, so less has to be computed.
 
     Raises
     ------
@@ -196,10 +196,10 @@ def make_plan(
     works: dict[Method, Work] = {
         m: count_work(m, c.band, len(faces), phases, rules, spreading) for m in METHODS
     }
-    # Not with the costs of this machine: settings give one image, wherever they are used.
+    # Not the costs of this machine: the same settings give the same image everywhere.
     cheapest: Method = min(METHODS, key=lambda m: built_in(device).seconds(works[m], c.single))
     chosen = method if method is not None else cheapest
-    # The law of the band is that of a smooth surface; corners and edges were seen to add a sixth.
+    # The law of the band is that of a smooth surface; corners and edges were found to add a sixth.
     error = min(accuracy, 1.2 * c.error)
     work, rest = works[chosen], (c.band, accuracy, c.threshold, c.single)
     if chosen == "closed form":
@@ -209,7 +209,7 @@ def make_plan(
 
 
 def checked_method(method: str | None) -> Method | None:
-    """A method by its name; raises InputError."""
+    """Return a method by its name. InputError if there is none."""
     if method is not None and method not in METHODS:
         raise InputError(f"method must be 'closed form' or 'particle-mesh', not {method!r}")
     return method
@@ -223,7 +223,7 @@ def spreading_for(
     falloff: Falloff,
     dipoles: bool = False,
 ) -> Spreading:
-    """Grid and kernels for a band; of dipoles where insides shine."""
+    """Choose grid and kernels for a band; for dipoles if insides shine."""
     points = sum(len(r.weights) * len(of) for r, of in rules)
     return choose_spreading(
         c.band.half,
@@ -240,12 +240,12 @@ def spreading_for(
 
 @dataclass(frozen=True)
 class BandChoice:
-    """Band and precision that an accuracy asks for, whatever is in the scene.
+    """Band and precision that an accuracy requires, whatever the scene holds.
 
     tolerance, quadrature : relative L2 errors that aliases and quadrature may cause.
-    held, at_edge : half axes (rad/um) of what the grid holds of the band, and |OTF| at its edge.
-    round : whether that is an ellipsoid; otherwise it has corners.
-    error : expected of leaving out what is beyond it.
+    held, at_edge : half axes (rad/um) of the band's part that the grid holds, |OTF| at its edge.
+    round : whether that part is an ellipsoid; otherwise it has corners.
+    error : expected from leaving out what is beyond it.
     """
 
     band: Band
@@ -268,7 +268,7 @@ def choose_band(
     aligned: bool = True,
     cutoff: Cutoff | None = None,
 ) -> BandChoice:
-    """The band and precision for an accuracy."""
+    """Choose the band and precision for an accuracy."""
     error = _BAND_SHARE * accuracy
     if cutoff is not None:
         radius, threshold = cutoff(error, falloff)
@@ -284,7 +284,7 @@ def choose_band(
     held, at_edge = _held(radius, voxel_size, threshold)
     if cutoff is not None:
         at_edge = _FLAT
-    # What is cut off at the grid's own edge has corners.
+    # A band that is cut off at the grid's own edge has corners.
     is_round = aligned and held == radius
     quadrature = RULE_SHARE * more
     return BandChoice(
@@ -293,14 +293,14 @@ def choose_band(
 
 
 def _falloff(vertices: np.ndarray, faces: np.ndarray, contrast: np.ndarray | None) -> Falloff:
-    """Falloff of faces, or of the solid within; vertices in widths of the PSF."""
+    """Return the falloff of faces, or of the solid within; vertices are in widths of the PSF."""
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = float(np.linalg.norm(normal, axis=1).sum() / 2)
     centred = corners[:, 0] - vertices.mean(0)
     if contrast is None:
         return of_surface(area, abs(float(np.einsum("fi,fi->", centred, normal)) / 6))
-    # Every wall counts, as insides that are alike may come to differ.
+    # Every wall counts, as equally bright insides may come to differ.
     most = max(float(np.abs(contrast).max(initial=0.0)), 1e-300)
     volume = abs(float(np.einsum("fi,fi,f->", centred, normal, contrast / most)) / 6)
     return of_solid(area, volume)
@@ -309,17 +309,17 @@ def _falloff(vertices: np.ndarray, faces: np.ndarray, contrast: np.ndarray | Non
 def _held(
     radius: tuple[float, ...], voxel_size: tuple[float, ...], threshold: float
 ) -> tuple[tuple[float, ...], float]:
-    """Half axes of what the grid holds of a band, and |OTF| at its edge.
+    """Return half axes of the part of a band that the grid holds, and |OTF| at its edge.
 
-    A PSF much narrower than a voxel reaches far beyond the grid; points for wavevectors that are
-    not there would fill any memory. The least share along an axis stands for all: a flatter OTF
-    asks for finer rules.
+    The band of a PSF much narrower than a voxel reaches far beyond the grid; points for
+    wavevectors that are not there would fill any memory. The least share along an axis is used for
+    all: the flatter OTF only leads to finer rules.
     """
     nyquist = tuple(pi / d for d in voxel_size)
     share = min(n / r for n, r in zip(nyquist, radius, strict=True))
     if share > 0.5:
         return radius, threshold
-    # Rounded down, so that the tables of one PSF serve its neighbours.
+    # Rounded down, so that the tables of one PSF serve similar ones.
     share = 2.0 ** (floor(2 * log2(share)) / 2)
     held = tuple(min(n, r) for n, r in zip(nyquist, radius, strict=True))
     return held, threshold ** (share**2)
@@ -328,7 +328,7 @@ def _held(
 def edge_phases(
     vertices: np.ndarray, faces: np.ndarray, radius: tuple[float, ...], aligned: bool
 ) -> np.ndarray:
-    """(F,) largest phase along the longest edge of each face, anywhere in the band."""
+    """Return (F,) largest phase along the longest edge of each face, anywhere in the band, rad."""
     if not len(faces):
         return np.zeros(0)
     corners = vertices[faces] * np.asarray(radius)

@@ -1,4 +1,4 @@
-"""Weighted points on elements (points, segments, triangles): which, and in which proportions."""
+"""Weighted quadrature points on elements (points, segments, triangles)."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .quadrature import Rule
 
 @dataclass(frozen=True, eq=False)
 class Listed:
-    """All points, those of an element one after the other, as kernels of a GPU take them.
+    """All points, sorted by element, in the format of the GPU's kernels.
 
     Attributes
     ----------
     element, place
-        (P,) int32: of each point, its element and its row among the places.
+        (P,) int32: element of each point, and its row in ``barycentric`` and ``weights``.
     start
         (E + 1,) int32: where the points of each element begin.
     barycentric, weights
@@ -43,16 +43,16 @@ class Listed:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Rules of quadrature, each with the elements that take it.
+    """Quadrature rules, each with the elements that use it.
 
-    An element that no rule names has no points.
+    An element without a rule has no points.
     """
 
     rules: Sequence[tuple[Rule, np.ndarray]] = field(repr=False)
     elements: int
 
     def of(self, kept: np.ndarray) -> Points:
-        """The points of some elements; kept : (E,) bool."""
+        """Return the points of some elements only; kept : (E,) bool."""
         if kept.all():
             return self
         return Points([(r, of[kept[of]]) for r, of in self.rules], self.elements)
@@ -64,7 +64,7 @@ class Points:
 
     @cached_property
     def compiled(self) -> Any:
-        """The points as compiled loops take them."""
+        """The points in the format of the compiled loops."""
         module = native()
         assert module is not None
         rule = np.zeros(self.elements, np.int32)
@@ -82,7 +82,7 @@ class Points:
     def groups(
         self, real: torch.dtype, device: torch.device
     ) -> list[tuple[Tensor, Tensor, Tensor]]:
-        """Barycentric places (P, corners), weights (P,) and elements (N,) of each rule."""
+        """Return barycentric places (P, corners), weights (P,) and elements (N,) of each rule."""
         key = real, device
         if key not in self._groups:
             self._groups[key] = [
@@ -92,7 +92,7 @@ class Points:
         return self._groups[key]
 
     def listed(self, device: torch.device) -> Listed:
-        """Point by point."""
+        """Return all points one by one, on a device."""
         if device not in self._listed:
             first, each = (np.zeros(self.elements, np.int64) for _ in range(2))
             at = 0
@@ -126,6 +126,6 @@ class Points:
 
 
 def placed(values: np.ndarray, real: torch.dtype, device: torch.device) -> Tensor:
-    """Values on a device that may know no double precision."""
+    """Move values to a device that may have no double precision."""
     kind = np.float32 if real == torch.float32 else np.float64
     return torch.from_numpy(values.astype(kind)).to(device)

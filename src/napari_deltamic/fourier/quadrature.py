@@ -52,7 +52,7 @@ class Rule:
 
 @cache
 def rule(degree: int, divisions: int = 1) -> Rule:
-    """A rule exact up to ``degree``, on each of ``divisions``^2 equal parts of a face."""
+    """Return a rule exact up to ``degree``, on each of ``divisions``^2 equal parts of a face."""
     points, weights = [], []
     for kind, w, *at in _ORBITS[degree]:
         if kind == "centre":
@@ -75,7 +75,7 @@ def rule(degree: int, divisions: int = 1) -> Rule:
 
 
 def _divide(n: int) -> np.ndarray:
-    """(n^2, 3, 3): corners of the parts of a triangle, in barycentric coordinates."""
+    """Return (n^2, 3, 3) corners of the parts of a triangle, in barycentric coordinates."""
     corner = lambda i, j: (1 - (i + j) / n, i / n, j / n)  # noqa: E731
     parts = [
         (corner(i, j), corner(i + 1, j), corner(i, j + 1)) for i in range(n) for j in range(n - i)
@@ -103,7 +103,7 @@ _SHAPES = np.array(
 
 @cache
 def _error_tables() -> tuple[np.ndarray, np.ndarray]:
-    """Mean |F_rule - F|^2 (degree, shape, phase) and |F|^2 (shape, phase) over directions of xi."""
+    """Return |F_rule - F|^2 (degree, shape, phase) and |F|^2 (shape, phase), direction means."""
     u = (np.arange(24) + 0.5) / 24
     in_plane = np.sqrt(1 - u**2)  # of directions spread evenly over the sphere
     angle = 2 * np.pi * (np.arange(24) + 0.5) / 24
@@ -128,10 +128,10 @@ def _error_tables() -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _largest_phases(threshold: float, error: float, filled: bool) -> tuple[float, ...]:
-    """For each degree, the longest edge (rad at the edge of the band) that keeps to ``error``."""
+    """Return, by degree, the longest edge (rad at the band's edge) that keeps to ``error``."""
     table, power = _error_tables()
     s = np.linspace(0.01, 1.0, 100)  # fraction of the band's radius
-    shell = 1.0 if filled else s**2  # of a solid, the flux over the wavevector
+    shell = 1.0 if filled else s**2  # for a solid, the flux is divided by the wavevector
     weight = shell * threshold ** (2 * s**2)  # and |OTF|^2 of a Gaussian
     out = []
     for i in range(len(DEGREES)):
@@ -149,7 +149,7 @@ def _largest_phases(threshold: float, error: float, filled: bool) -> tuple[float
 def choose_rules(
     reach: np.ndarray, threshold: float, error: float, filled: bool = False
 ) -> list[tuple[Rule, np.ndarray]]:
-    """The cheapest rule for every face that keeps the image within ``error``.
+    """Choose the cheapest rule for every face that keeps the image within ``error``.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Three-dimensional FFTs between a real array and the low wavevectors of its spectrum.
 
-Compiled, they transform no zeros and nothing that is not asked for, and give the same bits for any
-number of threads; elsewhere torch does the same.
+The compiled loops skip zeros and outputs that are not needed, and give the same bits for any number
+of threads; elsewhere torch computes the same.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Factors = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def compiled(device: torch.device) -> bool:
-    """Whether the compiled loops run for a device."""
+    """Whether the compiled loops are used on a device."""
     return device.type == "cpu" and native() is not None
 
 
@@ -36,8 +36,8 @@ class RealFFT:
     half
         Largest indices of the box.
     count
-        Z, Y, X of the real array: it lies at the beginning of the periodic one, and what is beyond
-        is taken to be zero, or left out.
+        Z, Y, X of the real array, which lies at the beginning of the periodic one; the rest counts
+        as zero, or is left out of results.
     to_box_factors, to_real_factors
         Real numbers by which the box is multiplied after, or before: 2 K + 1, 2 K + 1 and K + 1
         along its axes.
@@ -82,7 +82,7 @@ class RealFFT:
         box, weights
             Of the shape of the box; see :meth:`to_box`.
         row
-            Of the result along x, where something is to be put behind what ``count`` says.
+            Length of the result's rows, if longer than ``count`` says.
         """
         row = row or self.count[2]
         if not compiled(box.device):
@@ -119,7 +119,7 @@ class RealFFT:
         box = torch.fft.rfft(real, n=self.shape[2], dim=2).narrow(2, 0, self.half[2] + 1)
         box = torch.fft.fftn(box, s=self.shape[:2], dim=(0, 1))
         z, y = self._indices(real.device)
-        # Pairs of real numbers: not every device indexes complex ones.
+        # As pairs of real numbers, since not every device can index complex ones.
         box = torch.view_as_complex(torch.view_as_real(box)[z[:, None], y])
         return box * self._whole("to_box", real.dtype, real.device)
 
@@ -137,7 +137,7 @@ class RealFFT:
         return found.narrow(2, 0, self.count[2])
 
     def _indices(self, device: torch.device) -> list[Tensor]:
-        """Where wavevectors -K .. K lie along the first two axes of an FFT."""
+        """Return the indices of wavevectors -K .. K along the first two axes of an FFT."""
         if device not in self._indices_on:
             self._indices_on[device] = [
                 (torch.arange(-k, k + 1) % n).to(device)
@@ -150,7 +150,7 @@ class RealFFT:
         return {}
 
     def _whole(self, name: str, real: torch.dtype, device: torch.device) -> Tensor:
-        """The factors of all three axes, on the box."""
+        """Return the product of the factors of all three axes, on the box."""
         key = f"whole {name}", real, device
         if key not in self._factors:
             z, y, x = self._placed(name, real, device)
@@ -174,7 +174,7 @@ class RealFFT:
 
 
 def _wrapped(box: Tensor, axis: int, half: int, n: int) -> Tensor:
-    """The box; of -n/2 and +n/2, which are one, their sum alone."""
+    """Return the box with -n/2 and +n/2, which are one wavevector, replaced by their sum."""
     if 2 * half != n or not half:
         return box
     last = box.narrow(axis, 0, 1) + box.narrow(axis, 2 * half, 1)

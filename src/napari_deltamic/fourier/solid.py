@@ -34,7 +34,7 @@ from .triangle import triangle_transform
 
 
 def contrasts(regions: Tensor | np.ndarray, ids: np.ndarray, weights: Tensor) -> Tensor:
-    """(F,) weight behind each face minus that in front of it; the outside has none.
+    """Return (F,) the weight behind each face minus that in front of it; 0 for the outside.
 
     Parameters
     ----------
@@ -43,12 +43,12 @@ def contrasts(regions: Tensor | np.ndarray, ids: np.ndarray, weights: Tensor) ->
     ids
         (R,) sorted region numbers, as :meth:`napari_deltamic.Mesh.region_ids` gives them.
     weights
-        (R,) signal per um^3 of each, in that order; the result is differentiable in them.
+        (R,) signal per um^3 of each region, in that order; the result is differentiable in them.
 
     Raises
     ------
     InputError
-        If there is not one weight for each region.
+        If the number of weights is not that of the regions.
     """
     if weights.shape != (len(ids),):
         raise InputError(
@@ -59,14 +59,14 @@ def contrasts(regions: Tensor | np.ndarray, ids: np.ndarray, weights: Tensor) ->
 
 
 def sides_of(regions: Tensor | np.ndarray, ids: np.ndarray) -> Tensor:
-    """(2, F) rank of the region behind each face and of that in front; 0 is the outside."""
+    """Return (2, F) ranks of the regions behind each face and in front of it; 0 is the outside."""
     # A region number may be anything.
     sides = np.searchsorted(np.append(0, ids), np.asarray(regions))
     return torch.from_numpy(np.ascontiguousarray(sides.T))
 
 
 def jumps(sides: Tensor, weights: Tensor) -> Tensor:
-    """:func:`contrasts` (F,) from ranks (2, F) and weights (R,), on one device."""
+    """Compute :func:`contrasts` (F,) from ranks (2, F) and weights (R,), on one device."""
     of = torch.cat([weights.new_zeros(1), weights])
     # Not by indexing, whose gradient sorts on a GPU.
     behind, front = (of.index_select(0, side) for side in sides)
@@ -76,13 +76,13 @@ def jumps(sides: Tensor, weights: Tensor) -> Tensor:
 def solid_transform(
     plan: Plan | SolidPlan, vertices: Tensor, faces: Tensor, contrast: Tensor
 ) -> Tensor:
-    """u_hat of solids on the box of a plan's band.
+    """Compute u_hat of solids on the box of a plan's band.
 
     Parameters
     ----------
     plan
-        Made for this mesh, or one near it. A surface's plan works too; the rest is then planned at
-        every call.
+        Made for this mesh, or one near it. A surface's plan works too, but the rest is then planned
+        anew at every call.
     vertices
         (V, 3) um relative to the centre of the grid's first voxel, as in :meth:`Plan.transform`.
     faces
@@ -93,8 +93,8 @@ def solid_transform(
     Returns
     -------
     Complex tensor of the shape ``plan.band.box_shape``, differentiable in vertices and contrast.
-    A solid's spectrum falls faster than that of its surface, so that its image is more accurate
-    than the plan says of the surface's.
+    A solid's spectrum falls faster than that of its surface, so its image is more accurate than
+    the plan expects for the surface.
     """
     x = vertices.to(torch.float64)
     if isinstance(plan, Plan):
@@ -126,7 +126,7 @@ def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
 def _shells(
     vertices: Tensor, faces: Tensor, contrast: Tensor, wavevectors: Tensor, centre: Tensor
 ) -> Tensor:
-    """u_hat (K,) by closed-form shells, at wavevectors near zero."""
+    """Compute u_hat (K,) by closed-form shells, at wavevectors near zero."""
     arms = vertices - centre
     distance = (arms[faces[:, 0]] * _normals(vertices, faces)).sum(1) * contrast
     total = torch.zeros(len(wavevectors), dtype=torch.complex128, device=vertices.device)
@@ -139,7 +139,7 @@ def _shells(
 
 
 def _embedded(box: Tensor, half: Sequence[int], into: Sequence[int]) -> Tensor:
-    """A box of wavevectors, zero-padded to a larger one."""
+    """Zero-pad a box of wavevectors to a larger one."""
     z, y, x = (n - k for n, k in zip(into, half, strict=True))
     return torch.nn.functional.pad(box, (0, x, y, y, z, z))
 
@@ -154,10 +154,10 @@ def _empty_flux(
     wavevectors: Tensor,
     along: Tensor | None = None,
 ) -> Tensor:
-    """Flux (K, 3) through faces of no area: zero, but their gradient is not.
+    """Compute the flux (K, 3) through faces without area: it is zero, but its gradient is not.
 
-    A surface's kernel sees length of a normal and its direction apart, and there is none. With
-    ``along`` (V, 3), the component (K, 1) along it, which is the same at all corners of a face.
+    The kernel of surfaces needs length and direction of a normal, and here there is none. With
+    ``along`` (V, 3), equal at all corners of a face, only the component (K, 1) along it.
     """
     is_empty = (area_vectors(vertices.detach()[faces]) == 0).all(1)
     if not bool(is_empty.any()):
@@ -182,7 +182,7 @@ def _closed_form(plan: SolidPlan, vertices: Tensor, faces: Tensor, contrast: Ten
     empty = _empty_flux(vertices, faces, contrast, xi)
     normals = _normals(vertices, faces)
     for axis, along in enumerate(band.axes()):
-        # Always in double precision: the parts cancel.
+        # Always in double precision, since the parts cancel.
         density = normals[:, axis] * contrast
         rows = band_ft(vertices, faces, density, band.rows, band.spacing, False)
         u = u + along.to(there) * band.to_box(rows + empty[:, axis])

@@ -1,4 +1,4 @@
-"""What solids need besides the plan of their surface: found once, for all that a fit makes of it.
+"""What solids need beside the plan of their surface; made once, for all meshes of a fit.
 
 See :mod:`napari_deltamic.fourier.solid` for the formulas.
 """
@@ -22,9 +22,9 @@ from .quadrature import Rule, choose_rules
 from .spreading import Spreading, choose_spreading, flat
 from .triangle import cross
 
-# Shells are taken where each component of xi is at most this over R.
+# Shells are used where each component of xi is at most this over R.
 NEAR = 1.0
-_LARGEST_PHASE = sqrt(3) * NEAR  # of a point relative to the centre, there
+_LARGEST_PHASE = sqrt(3) * NEAR  # of a point relative to the centre, at such wavevectors
 EXACT = 1e-15
 _POINT = Rule(0, 1, np.ones((1, 1)), np.ones(1))
 # Flux that cancels up to this factor leaves the plan's errors below what was asked: measured on ten
@@ -37,14 +37,14 @@ _MOST_DIRECT = 1 << 26
 
 @dataclass(frozen=True, eq=False)
 class SolidPlan:
-    """How u_hat of what closed surfaces hold is computed on a band.
+    """How u_hat of the inside of closed surfaces is computed on a band.
 
     Attributes
     ----------
     plan
-        Of the surface.
+        Plan of the surface.
     low
-        The part of the band where shells are taken; zero always is.
+        The part of the band that is computed by shells; it always includes zero.
     flux
         Points of the flux, grid and kernels, and whether in single precision.
     shells
@@ -65,10 +65,10 @@ class SolidPlan:
         contrast: np.ndarray,
         stretch: float = 1.0,
     ) -> SolidPlan:
-        """A plan for a mesh and for what becomes of it.
+        """Make a plan for a mesh and for what becomes of it in a fit.
 
-        Whether it is thin is told by the brightness given: thin cells that become far brighter than
-        thick ones are less accurate than the plan says.
+        Whether the solid is thin is judged with the contrast given: if thin cells become far
+        brighter than thick ones, images are less accurate than the plan says.
 
         Parameters
         ----------
@@ -78,7 +78,7 @@ class SolidPlan:
             (V, 3) um relative to the centre of the grid's first voxel, (F, 3), (F,) see
             :func:`napari_deltamic.fourier.solid.contrasts`.
         stretch
-            By how much it may grow.
+            Factor by which the mesh may grow.
         """
         reach = float(reach_of(torch.from_numpy(vertices), centre_of(torch.from_numpy(vertices))))
         low = _low_band(plan.band, stretch * reach)
@@ -96,7 +96,7 @@ class SolidPlan:
         return cls(plan, low, _flux(plan, corners, edges, contrast), (near, spreading))
 
     def points_of(self, contrast: Tensor) -> tuple[Points, Points]:
-        """Points of flux and shells; walls between regions that shine alike have none."""
+        """Return points of flux and shells; walls between equally bright regions have none."""
         assert self.flux is not None
         assert self.shells is not None
         every = self.flux[0], self.shells[0]
@@ -105,7 +105,7 @@ class SolidPlan:
         seen = contrast.cpu().numpy() != 0
         if seen.all():
             return every
-        # The same walls are asked for again and again; two, where the PSF changes with depth.
+        # The same walls are used again and again; two sets if the PSF changes with depth.
         key = seen.tobytes()
         found = self._seen.get(key)
         if found is None:
@@ -118,7 +118,7 @@ class SolidPlan:
     def low_shells(
         self, points: Points, centre: Tensor, corners: Tensor, vectors: Tensor, jump: Tensor
     ) -> Tensor:
-        """u_hat on the low box by shells of points; differentiable in the contrast alone.
+        """Compute u_hat on the low box by shells of points; differentiable only in the contrast.
 
         Parameters
         ----------
@@ -156,7 +156,7 @@ class SolidPlan:
         )
 
     def _directly(self, centre: Tensor, arms: Tensor, strengths: Tensor) -> Tensor:
-        """The sum over points (P, 3) about the centre, on the low box, wavevector by wavevector."""
+        """Sum over points (P, 3) about the centre, on the low box, wavevector by wavevector."""
         _, _, *axes = self._numbers(arms.dtype, arms.device)
         rest = -len(arms) % _AT_ONCE
         arms = torch.nn.functional.pad(arms, (0, 0, 0, rest)).reshape(_AT_ONCE, -1, 3)
@@ -168,7 +168,7 @@ class SolidPlan:
         return sums.reshape(self.low.box_shape) * (z[:, None, None] * (y[:, None] * x))
 
     def _numbers(self, real: torch.dtype, device: torch.device) -> list[Tensor]:
-        """Shells and their weights; components of the low wavevectors along each axis."""
+        """Return shells, their weights, and components of the low wavevectors along each axis."""
         key = real, device
         if key not in self._placed:
             axes = [k.reshape(-1).numpy() for k in self.low.axes(torch.float64)]
@@ -186,35 +186,35 @@ class SolidPlan:
 
 
 def centre_of(vertices: Tensor) -> Tensor:
-    """Centre (3,) of the bounds of vertices (V, 3), um."""
+    """Return the centre (3,) of the bounds of vertices (V, 3), um."""
     v = vertices.detach()
     return (v.amin(0) + v.amax(0)) / 2 if len(v) else v.new_zeros(3)
 
 
 def reach_of(vertices: Tensor, centre: Tensor) -> Tensor:
-    """How far they reach from it, um."""
+    """Return how far vertices reach from a centre, um."""
     arms = vertices.detach() - centre
     return arms.norm(dim=1).max() if len(arms) else centre.new_zeros(())
 
 
 def area_vectors(corners: Tensor) -> Tensor:
-    """(F, 3) normal times area; Z, Y, X components are left-handed, hence the sign."""
+    """Return (F, 3) normal times area; Z, Y, X components are left-handed, hence the sign."""
     return -cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
 
 
 def _has_atomics(device: torch.device) -> bool:
-    """Whether points are added with atomics, which on so small a grid wait for one another."""
+    """Whether a device adds points with atomics, which wait for each other on so small a grid."""
     return device.type == "cuda"
 
 
 def _turned(phase: Tensor) -> Tensor:
-    """exp(-i phase)"""
+    """Return exp(-i phase)."""
     return torch.polar(torch.ones_like(phase), -phase)
 
 
 @cache
 def nodes(error: float) -> tuple[np.ndarray, np.ndarray]:
-    """Shells t and their weights: the fewest whose integral of t^2 exp(-ist) is this accurate."""
+    """Return the fewest shells t, with weights, that integrate t^2 exp(-ist) this accurately."""
     s = np.linspace(0, _LARGEST_PHASE, 50)[:, None]
     t, w = _gauss(16)
     exact = np.exp(-1j * s * t) @ w
@@ -226,7 +226,7 @@ def nodes(error: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Jacobi rule of the weight t^2 on 0..1."""
+    """Return the Gauss-Jacobi rule for the weight t^2 on 0..1."""
     x, w = roots_jacobi(n, 0, 2)
     return (x + 1) / 2, w / 8
 
@@ -241,14 +241,14 @@ def _low_band(band: Band, reach: float) -> Band:
 
 @lru_cache(maxsize=8)
 def _one_by_one(count: int) -> Points:
-    """Points that are elements themselves."""
+    """Return the rule for elements that are points themselves."""
     return Points([(_POINT, np.arange(count))], count)
 
 
 def _flux(
     plan: Plan, corners: np.ndarray, edges: np.ndarray, contrast: np.ndarray
 ) -> tuple[Points, Spreading, bool]:
-    """Points, grid and precision of the flux: those of the plan unless the solid is thin.
+    """Return points, grid and precision of the flux: those of the plan unless the solid is thin.
 
     The flux through opposite faces cancels but for their distance: errors relative to the surface
     are as many times larger relative to what lies inside. edges : (F, 3, 3) um along the axes.
@@ -259,14 +259,14 @@ def _flux(
     volume = abs(float((((corners[:, 0] - middle) * vectors).sum(1) * contrast).sum())) / 3
     area = float((np.linalg.norm(vectors, axis=1) * np.abs(contrast)).sum())
     reach = [k * s for k, s in zip(plan.band.half, plan.band.spacing, strict=True)]
-    # At a third of the radius of the band; beyond the cap nothing is inside.
+    # Cancellation at a third of the band's radius; beyond the cap there is hardly an inside.
     cancelled = min(area / max(volume * sum(reach) / 9, 1e-300), 1e8)
     if cancelled < _THICK or not area:
         return plan.quadrature_of(len(corners)), plan.spreading, plan.single
     tolerance = max(plan.tolerance / cancelled, 1e-13)
     single = plan.single and tolerance > 5e-6
     phases = np.linalg.norm(edges * np.asarray(reach), axis=2).max(1)
-    # As if the OTF were flat over the band: finer rules and wider kernels than need be.
+    # As if the OTF were flat over the band: rules finer and kernels wider than necessary.
     rules = choose_rules(phases, 1.0, max(RULE_SHARE * plan.accuracy / cancelled, 1e-12))
     points = Points(rules, len(corners))
     spreading = choose_spreading(

@@ -19,12 +19,12 @@ from .kernel import WIDEST, AxisWeights, Kernel, beta_for, kernel_for, packed, u
 from .points import placed
 from .real_fft import RealFFT
 
-# |OTF| at components of wavevectors that broadcast over a box, rad/um.
+# From components of wavevectors (rad/um) that broadcast over a box to |OTF| there.
 Transfer = Callable[[tuple[Tensor, Tensor, Tensor]], Tensor]
 _SAMPLES = 12  # of the OTF, along half an axis of the band
-# Of the error of a gradient that counts: it may be three times that of the image.
+# Weight of the gradient's error, which may be three times that of the image.
 _GRADIENT_SHARE = 0.35
-# Against the sums over aliases; measured: walls one PSF apart exceed them by a hundredth.
+# Margin for the sums over aliases; measured: walls one PSF apart exceed them by a hundredth.
 _DIPOLES = 1.1
 _UNIT = {True: 6e-8, False: 1.1e-16}  # rounding error of a number in single precision, in double
 _FINEST = 2.2  # grids that are tried, times the band
@@ -46,7 +46,7 @@ class Spreading:
     kernels
         One for each axis.
     error
-        Relative L2 error of an image that it was chosen for.
+        Relative L2 error of an image for which it was chosen.
     """
 
     half: tuple[int, int, int]
@@ -69,38 +69,38 @@ class Spreading:
 
     @property
     def rows(self) -> float:
-        """Rows of nodes that a point meets; a wide kernel's count for more."""
+        """Cost of the rows of nodes that a point is spread over; wide kernels cost more a row."""
         z, y, x = (k.width for k in self.kernels)
         return z * y * _lanes_cost(max(z, y, x))
 
     @cached_property
     def fft(self) -> RealFFT:
-        """Between its grid and the band, divided by the kernels' transforms; and the adjoint."""
+        """FFT from the grid to the band, divided by the kernels' transforms; and its adjoint."""
         z, y, x = (
             1 / kernel.transform(np.arange(k + 1) / n)
             for kernel, k, n in zip(self.kernels, self.half, self.shape, strict=True)
         )
         z, y = (np.concatenate([c[:0:-1], c]) for c in (z, y))
-        # Of a gradient, the inverse FFT adds the mirror images; they are no part of the box.
+        # For a gradient, the inverse FFT would add the mirror images, which are no part of the box.
         once = np.where(np.arange(len(x)) == 0, x, x / 2)
         return RealFFT(self.shape, self.half, self.shape, (z, y, x), (z, y, once))
 
     def scale_on(self, real: torch.dtype, device: torch.device) -> Tensor:
-        """(3,) nodes per um."""
+        """Return (3,) nodes per um, on a device."""
         key = "scale", real, device
         if key not in self._placed:
             self._placed[key] = [placed(np.array(self.scale), real, device)]
         return self._placed[key][0]
 
     def coefficients(self, real: torch.dtype, device: torch.device) -> list[Tensor]:
-        """Coefficients of the kernels, (degree + 1, width) along each axis."""
+        """Return the coefficients of the kernels, (degree + 1, width) along each axis."""
         key = "coefficients", real, device
         if key not in self._placed:
             self._placed[key] = [placed(k.coefficients, real, device) for k in self.kernels]
         return self._placed[key]
 
     def joined_coefficients(self, real: torch.dtype, device: torch.device) -> Tensor:
-        """Coefficients of the three axes, one after the other."""
+        """Return the coefficients of the three axes, one after the other."""
         key = "joined", real, device
         if key not in self._placed:
             every = self.coefficients(real, device)
@@ -113,7 +113,7 @@ class Spreading:
 
 
 def gaussian(width: Sequence[float]) -> Transfer:
-    """The OTF of a Gaussian PSF, um along Z, Y, X."""
+    """Return the OTF of a Gaussian PSF; width : um along Z, Y, X."""
 
     def transfer(axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         squared = sum((w * k) ** 2 for w, k in zip(width, axes, strict=True))
@@ -123,15 +123,15 @@ def gaussian(width: Sequence[float]) -> Transfer:
 
 
 def flat(axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-    """An OTF of 1 everywhere."""
+    """Return an OTF of 1 everywhere."""
     # NumPy's broadcast_shapes: that of torch loads SymPy, which takes half a second.
     return torch.ones(np.broadcast_shapes(*(a.shape for a in axes)), dtype=axes[0].dtype)
 
 
 def _untraced(function: Callable[..., Spreading]) -> Callable[..., Spreading]:
-    """What torch.compile runs as it is, since it cannot trace how plans are kept.
+    """Exclude a function from torch.compile, which cannot trace how plans are kept.
 
-    ``torch.compiler.disable`` loads what traces, which takes a second: only who compiles waits.
+    ``torch.compiler.disable`` loads the tracer, which takes a second: done only in compiled code.
     """
 
     @wraps(function)
@@ -156,28 +156,28 @@ def choose_spreading(
     width: Sequence[float] = (1.0, 1.0, 1.0),
     dipoles: bool = False,
 ) -> Spreading:
-    """The cheapest grid and kernels that keep an image within ``error``.
+    """Choose the cheapest grid and kernels that keep an image within ``error``.
 
     Parameters
     ----------
     half, spacing
         Of the band.
     transfer
-        |OTF|; its aliases are summed as they are, where it need not fall to the edge of the band.
+        |OTF|; its aliases are summed as they are, as it need not fall towards the band's edge.
     error
         Relative L2 error of the image that aliases may cause.
     points
-        How many there are, about.
+        Their approximate number.
     single
         Whether the grid is in single precision.
     falloff
-        How the power of what shines falls, in widths.
+        How the power of the structure falls, in widths of the PSF.
     width
-        um along Z, Y, X.
+        Of the PSF, um along Z, Y, X.
     dipoles
         Whether kernels' gradients are spread, of which ``1 / |xi|^2`` is taken (:mod:`.flux`).
     """
-    # A Gaussian and its neighbours share what is kept.
+    # Similar Gaussians share what is kept.
     each = error / sqrt(3)
     keys = [packed(w) for w in _weights(half, spacing, transfer, falloff, width, dipoles)]
     about, unit = 2 ** ceil(log2(max(points, 1))), _UNIT[single]
@@ -200,12 +200,12 @@ def _weights(
     width: Sequence[float],
     dipoles: bool,
 ) -> list[AxisWeights]:
-    """For each axis, shares of the power along it: of images of round scenes, of those of walls
-    across it, and of the gradient; of dipoles, of the first two once more.
+    """Return, for each axis, the shares of the power along it, for several kinds of scenes.
 
-    The power of a flat wall falls less along its normal. What lies beyond the band is taken to be
-    as strong as at its edge. An alias of dipoles is as many times stronger as its wavevector is
-    longer; zero is not theirs (:mod:`.solid`).
+    These are images of round scenes, images of walls across the axis, and the gradient; for
+    dipoles, the first two once more. The power of a flat wall falls less along its normal. Power
+    beyond the band is taken to be as strong as at its edge. An alias of dipoles is stronger by the
+    factor by which its wavevector is longer; they have no part at zero (:mod:`.solid`).
     """
     index = [_samples(k) for k in half]
     whole = [np.concatenate([-i[:0:-1], i]) for i in index[:2]] + [index[2]]
@@ -214,7 +214,7 @@ def _weights(
     power = _power(k, transfer)
     in_widths = np.asarray(sum((w * a) ** 2 for w, a in zip(width, k, strict=True)))
     steps = [_steps(w) for w in whole]
-    steps[2][1:] *= 2  # those left out are their mirror images
+    steps[2][1:] *= 2  # stand for their mirror images, too
     every = steps[0][:, None, None] * steps[1][:, None] * steps[2]
     volume = power * falloff.of(in_widths) * every
     volume = volume / volume.sum()
@@ -242,7 +242,7 @@ def _weights(
 
 
 def _power(k: Sequence[np.ndarray], transfer: Transfer) -> np.ndarray:
-    """|OTF|^2 at components of wavevectors that broadcast over a box; 1 where it is not known."""
+    """Return |OTF|^2 at wavevector components that broadcast over a box; 1 where not known."""
     z, y, x = (torch.from_numpy(a) for a in k)
     with torch.no_grad():
         otf = transfer((z, y, x)).abs().to(torch.float64).cpu().numpy()
@@ -253,24 +253,24 @@ def _power(k: Sequence[np.ndarray], transfer: Transfer) -> np.ndarray:
 
 
 def _over(power: np.ndarray, by: np.ndarray) -> np.ndarray:
-    """The quotient; 0 over 0."""
+    """Divide, with 0 / 0 = 0."""
     return np.divide(power, by, out=np.zeros_like(power), where=by > 0)
 
 
 def _samples(half: int) -> np.ndarray:
-    """Indices 0 .. half, or as many of them as the OTF is sampled at."""
+    """Return indices 0 .. half, or some of them at which the OTF is sampled."""
     if half <= _SAMPLES:
         return np.arange(half + 1, dtype=float)
     return np.linspace(0, half, _SAMPLES + 1)
 
 
 def half_index(whole: np.ndarray) -> int:
-    """Where zero lies."""
+    """Return the position of index zero."""
     return int(np.argmin(np.abs(whole)))
 
 
 def _steps(index: np.ndarray) -> np.ndarray:
-    """Wavevectors that each sample stands for: trapezoids, whose ends are whole ones."""
+    """Return the number of wavevectors that each sample stands for, by the trapezoidal rule."""
     if len(index) == 1:
         return np.ones(1)
     gaps = np.diff(index)
@@ -279,7 +279,7 @@ def _steps(index: np.ndarray) -> np.ndarray:
 
 
 def _folded(line: np.ndarray, whole: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Both signs of an index as one."""
+    """Add up values of both signs of each index."""
     total = np.zeros(len(index))
     np.add.at(total, np.searchsorted(index, np.abs(whole)), line)
     return total
@@ -292,7 +292,7 @@ def _folded(line: np.ndarray, whole: np.ndarray, index: np.ndarray) -> np.ndarra
 def _cheapest(
     half: tuple[int, int, int], keys: tuple[bytes, ...], error: float, points: int, unit: float
 ) -> tuple[tuple[int, int, int], list[tuple[int, float]]]:
-    """Grid, and width and beta along each axis, that cost least."""
+    """Return the cheapest grid, with width and beta of the kernel along each axis."""
     options = [_options(k, key, error, unit) for k, key in zip(half, keys, strict=True)]
     best = min(product(*options), key=lambda choice: _seconds(choice, points))
     z, y, x = (n for n, _ in best)
@@ -303,15 +303,15 @@ def _cheapest(
 def _options(
     half: int, key: bytes, error: float, unit: float
 ) -> list[tuple[int, tuple[int, float]]]:
-    """Numbers of nodes, each with its narrowest kernel; finer ones only where it is narrower.
+    """Return numbers of nodes, each with its narrowest kernel; finer grids only if it is narrower.
 
-    Of a grid, the error falls as kernels grow wider: where one is too narrow, so are narrower ones.
+    On a grid the error falls as kernels grow wider: if one is too narrow, so are narrower ones.
     """
     weights = unpacked(key)
     found: list[tuple[int, tuple[int, float]]] = []
     n = grid_size(2 * half + 2)
     while n <= max(_FINEST * (2 * half + 1), 40) or not found:
-        # Upwards until one will do; on finer grids downwards from there.
+        # Widths go up until one suffices; on finer grids, down from there.
         widths = range(found[-1][1][0] - 1, 1, -1) if found else range(2, min(WIDEST, n) + 1)
         upwards, kernel = not found, None
         for width in widths:
@@ -334,12 +334,12 @@ def _seconds(choice: tuple[tuple[int, tuple[int, float]], ...], points: int) -> 
 
 
 def _lanes_cost(widest: int) -> float:
-    """Cost of a row, relative to one of 8 nodes."""
+    """Return the cost of a row, relative to one of 8 nodes."""
     return 1.0 if widest <= 8 else 1.6
 
 
 def grid_size(n: int) -> int:
-    """The next even number from n on with no prime factor above 5."""
+    """Return the smallest even number from n on with no prime factor above 5."""
     n += n % 2
     while True:
         rest = n

@@ -1,7 +1,7 @@
-"""Spreading and gathering in torch operations alone: on any device, and without compiled loops.
+"""Spreading and gathering with torch operations only: on any device, without compiled loops.
 
 Single-precision plans run in single precision throughout: a position is split into a node of the
-grid and what is left, so that it keeps its digits where they matter.
+grid and the rest, so that it keeps its digits where they matter.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .points import Points
 from .spreading import Spreading
 from .triangle import cross
 
-_NODES_AT_ONCE = 1 << 22  # of all points that are spread or gathered together: bounds the memory
+_NODES_AT_ONCE = 1 << 22  # of all points spread or gathered at a time: bounds the memory
 
 
 def spread(
@@ -29,7 +29,7 @@ def spread(
     device: torch.device,
     vectors: Tensor | None = None,
 ) -> Tensor:
-    """(Z, Y, X) grid; see :func:`napari_deltamic.fourier.particle_mesh.spread`."""
+    """Spread as :func:`napari_deltamic.fourier.particle_mesh.spread` does."""
     real = _real(single)
     if vectors is None:
         strengths = (density * measure(vertices[elements])[0])[:, None].to(real).to(device)
@@ -45,7 +45,7 @@ def spread(
             values = _outer(own[:, 0, None] * some.values[0], *some.values[1:])
         else:
             (kz, ky, kx), (sz, sy, sx) = some.values, some.slopes
-            # Slopes are per node, by the place of the point; the kernel is seen from the grid.
+            # Slopes are per node, by the point's position; seen from the grid they are opposite.
             az, ay, ax = (-own * scale).unsqueeze(-1).unbind(1)
             values = _outer(az * sz, ky, kx) + _outer(ay * kz, sy, kx) + _outer(ax * kz, ky, sx)
         grid.index_add_(0, some.nodes(spreading.shape).reshape(-1), values.reshape(-1))
@@ -53,7 +53,7 @@ def spread(
 
 
 def _outer(z: Tensor, y: Tensor, x: Tensor) -> Tensor:
-    """(points, Wz, Wy, Wx) products of rows (points, W)."""
+    """Return (points, Wz, Wy, Wx) products of rows (points, W)."""
     return (z[:, :, None] * y[:, None, :])[..., None] * x[:, None, None, :]
 
 
@@ -66,8 +66,10 @@ def gather(
     field: Tensor,
     slopes: bool = False,
 ) -> Tensor:
-    """(E, corners, 1) sums over each element's points of weight times barycentric coordinate times
-    the field; (E, corners, 4) with its derivatives per um."""
+    """Return sums over each element's points, (E, corners, 1), or (E, corners, 4) with slopes.
+
+    Terms are weight times barycentric coordinate times the field, or its derivatives per um.
+    """
     parts = 4 if slopes else 1
     sums = field.new_zeros(*elements.shape, parts)
     flat = field.reshape(-1)
@@ -103,7 +105,7 @@ def pull(
     single: bool,
     field: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Gradients (V, 3) and (E,) of what :func:`spread` makes, from the field on its grid."""
+    """Return gradients (V, 3) and (E,) of :func:`spread`'s result, from the field on its grid."""
     sums = gather(vertices, elements, points, spreading, single, field, slopes=True)
     sums = sums.to(vertices.device).to(vertices.dtype)
     size, by_corner = measure(vertices[elements])
@@ -115,7 +117,7 @@ def pull(
 
 
 def measure(corners: Tensor) -> tuple[Tensor, Tensor]:
-    """(E,) area, length or 1, and its gradients (E, corners, 3), zero where there is none."""
+    """Return (E,) area, length or 1, and its gradients (E, corners, 3), zero if degenerate."""
     gradient = torch.zeros_like(corners)
     if corners.shape[1] == 1:
         return torch.ones_like(corners[:, 0, 0]), gradient
@@ -136,7 +138,7 @@ def measure(corners: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass
 class _Piece:
-    """Some elements with one rule, and their points; values and slopes (points, width) by axis."""
+    """Some elements with one rule: values and slopes of their points, (points, width) by axis."""
 
     of: Tensor
     barycentric: Tensor
@@ -146,7 +148,7 @@ class _Piece:
     slopes: list[Tensor]
 
     def nodes(self, shape: tuple[int, int, int]) -> Tensor:
-        """(points, Wz, Wy, Wx) nodes that each meets, in the flattened grid."""
+        """Return (points, Wz, Wy, Wx) the nodes of each point, in the flattened grid."""
         z, y, x = (
             (first[:, None] + torch.arange(v.shape[1], device=first.device)) % n
             for first, v, n in zip(self.first, self.values, shape, strict=True)
@@ -190,7 +192,7 @@ def _pieces(
 
 
 def _evaluated(coefficients: Tensor, f: Tensor, slopes: bool) -> tuple[Tensor, Tensor]:
-    """(points, width) values of the polynomials and their slopes per node, by Horner's rule."""
+    """Evaluate the polynomials, (points, width), and their slopes per node, by Horner's rule."""
     t = (2 * f - 1)[:, None]
     value = coefficients[0].expand(len(f), -1)
     slope = torch.zeros_like(value)
@@ -198,7 +200,7 @@ def _evaluated(coefficients: Tensor, f: Tensor, slopes: bool) -> tuple[Tensor, T
         if slopes:
             slope = slope * t + value
         value = value * t + c
-    return value, -2 * slope  # t falls by 2 where a point moves on by a node
+    return value, -2 * slope  # t falls by 2 when a point moves on by one node
 
 
 def _real(single: bool) -> torch.dtype:

@@ -1,4 +1,4 @@
-"""The transform of one triangle in torch: what runs where the compiled extension is missing.
+"""The transform of one triangle in torch, used if the compiled extension is missing.
 
 The same two branches as ``csrc/triangle_ft.h`` (read that file for the formulas): a Taylor series
 about the centroid for small edge phases, a sorted divided difference for large ones.
@@ -15,7 +15,7 @@ TAU = 2.0
 
 
 def _series(q: Tensor, r: Tensor, order: int) -> tuple[Tensor, Tensor, Tensor]:
-    """S, dS/dq and dS/dr of the Taylor series; complex tensors."""
+    """Return S, dS/dq and dS/dr of the Taylor series, as complex tensors."""
     complex_type = torch.complex64 if q.dtype == torch.float32 else torch.complex128
     s = torch.zeros_like(q, dtype=complex_type)
     sq, sr = torch.zeros_like(s), torch.zeros_like(s)
@@ -46,7 +46,7 @@ def _small(d: Tensor, order: int) -> tuple[Tensor, Tensor]:
 
 
 def sinc(h: Tensor) -> tuple[Tensor, Tensor]:
-    """sin h / h and its derivative, from the series where |h| < 1."""
+    """Return sin h / h and its derivative, from the series where |h| < 1."""
     near = h.abs() < 1
     z = torch.where(near, h * h, 0.0)
     s, slope = torch.zeros_like(h), torch.zeros_like(h)
@@ -66,7 +66,7 @@ def _large(d: Tensor) -> tuple[Tensor, Tensor]:
     gap = d.gather(0, p)[0]
     x = d.gather(0, (p + 2) % 3)[0]
     y = -d.gather(0, (p + 1) % 3)[0]
-    safe = gap.abs() >= TAU / 2  # the branch that is not chosen must stay finite
+    safe = gap.abs() >= TAU / 2  # the branch that is not used must stay finite, too
     gap, x, y = (
         torch.where(safe, gap, TAU),
         torch.where(safe, x, 0.0),
@@ -86,7 +86,7 @@ def _large(d: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def triangle_transform(d: Tensor) -> tuple[Tensor, Tensor]:
-    """Transform of the unit simplex about its centroid, and its gradient.
+    """Return the transform of the unit simplex about its centroid, and its gradient.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def triangle_transform(d: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
-    """Cross product along the last axis, exactly zero for parallel vectors of equal length.
+    """Return the cross product along the last axis, exactly 0 for parallel vectors of equal length.
 
     ``torch.linalg.cross`` fuses multiplications and leaves a rounding error there, whose direction
     would pass for the normal of a degenerate face.

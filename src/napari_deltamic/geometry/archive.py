@@ -1,4 +1,4 @@
-"""Arrays and texts in one zip file: written whole or not at all, read without trust.
+"""Arrays and texts in one zip file: written whole or not at all, and never trusted when read.
 
 Each array is a member ``NAME.npy`` in NumPy's own format, so that the file can be read without
 this package. Nothing in it is ever executed: arrays of Python objects are neither written nor read.
@@ -24,9 +24,9 @@ from ..common.writing import write_atomically
 from ..errors import InputError
 from . import Mesh
 
-# What a file may unpack to: so many times what it takes on disk, or so much, whichever is more. An
-# image takes two to ten times as much; labels, of which there are few, up to a thousand times.
-# A forged file could fill the memory otherwise.
+# The most that a file may unpack to: this many times its size on disk, or this many bytes,
+# whichever is more. Images unpack to two to ten times their size; labels, which repeat a few
+# values, to up to a thousand times. Without a limit a forged file could fill the memory.
 _GROWTH, _SMALL = 200, 1 << 29  # bytes
 _PIECE = 1 << 22  # bytes read at a time, or an array would be in memory twice
 _LEVEL = 1  # of the compression: higher ones take five times as long for a few per cent
@@ -53,18 +53,18 @@ class ArchiveWriter:
         self._zip.writestr(name, text.encode())
 
     def add_json(self, name: str, values: Any) -> None:
-        """Add plain values; numpy's numbers count as such."""
+        """Add plain values (JSON types and NumPy scalars) as a JSON text."""
         self.add_text(name, json.dumps(values, indent=1, default=_plain))
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Make the file. InputError if it cannot be written; what was there is then as before."""
+        """Write the file. InputError if it cannot be written; an existing file then stays as is."""
         self._zip.close()
-        # The buffer itself: a large image should not be in memory once more.
+        # The buffer itself, not a copy: a large image should not be in memory twice.
         write_atomically(path, cast(bytes, self._buffer.getbuffer()))
 
 
 class ArchiveReader:
-    """The members of a file, checked; made by :func:`opened`."""
+    """Reads and checks the members of a file; made by :func:`opened`."""
 
     def __init__(self, file: zipfile.ZipFile, most: int) -> None:
         self._zip = file
@@ -72,13 +72,13 @@ class ArchiveReader:
         self.names = frozenset(file.namelist())
 
     def array(self, name: str) -> NDArray[Any]:
-        """An array. InputError if it is missing or damaged."""
+        """Return an array. InputError if it is missing or damaged."""
         info = self._info(f"{name}.npy")
         with self._zip.open(info) as stream:
             if np.lib.format.read_magic(stream) != (1, 0):
                 raise InputError(f"{name} is damaged")
             shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-            # Before memory is asked for: a damaged header may claim any shape.
+            # Checked before memory is allocated: a damaged header may claim any shape.
             size = prod(shape) * dtype.itemsize
             if dtype.hasobject or size != info.file_size - stream.tell():
                 raise InputError(f"{name} is damaged")
@@ -89,7 +89,7 @@ class ArchiveReader:
         return array
 
     def text(self, name: str) -> str:
-        """A text. InputError if it is missing or damaged."""
+        """Return a text. InputError if it is missing or damaged."""
         info = self._info(name)
         if info.file_size > LARGEST_TEXT:
             raise InputError(f"{name} is too long")
@@ -97,11 +97,11 @@ class ArchiveReader:
         return self._zip.read(info).decode()
 
     def json(self, name: str) -> Any:
-        """Plain values. InputError if they are missing or damaged."""
+        """Return the values of a JSON text. InputError if it is missing or damaged."""
         return json_values(self.text(name))
 
     def _take(self, size: int) -> None:
-        """Before memory is asked for: a small file may unpack to anything, and be read twice."""
+        """Count bytes about to be unpacked; InputError once all of them exceed the limit."""
         self._left -= size
         if self._left < 0:
             raise InputError("it would unpack to far more than it can hold")
@@ -114,13 +114,13 @@ class ArchiveReader:
 
 @contextmanager
 def opened(path: str | os.PathLike[str], what: str) -> Iterator[ArchiveReader]:
-    """Open a file for reading; ``what`` it should be is for the messages.
+    """Open a file for reading; error messages say that it should be ``what``.
 
     Raises
     ------
     InputError
-        In one line, with the path: missing, unreadable, no zip file, damaged, or whatever is
-        raised within the block because the content is not as it should be.
+        In one line, with the path: the file is missing, unreadable, no zip file or damaged, or
+        the block raised anything because of its content.
     """
     path = Path(path)
     try:
@@ -140,14 +140,14 @@ def opened(path: str | os.PathLike[str], what: str) -> Iterator[ArchiveReader]:
 
 
 class MeshWriter:
-    """Writes meshes into an archive; the faces and regions that several share only once."""
+    """Writes meshes into an archive; faces and regions that several share are stored once."""
 
     def __init__(self, archive: ArchiveWriter) -> None:
         self._archive = archive
         self._shapes: list[Mesh] = []
 
     def add(self, name: str, mesh: Mesh) -> dict[str, Any]:
-        """Write a mesh; plain values by which :meth:`MeshReader.mesh` finds it again."""
+        """Write a mesh; returns plain values by which :meth:`MeshReader.mesh` finds it again."""
         self._archive.add_array(name, mesh.vertices_numpy())
         for k, other in enumerate(self._shapes):
             if _same_faces(mesh, other):
@@ -167,7 +167,7 @@ class MeshReader:
         self._shapes: dict[int, Mesh] = {}
 
     def mesh(self, facts: Mapping[str, Any]) -> Mesh:
-        """A mesh. InputError if it is missing or damaged."""
+        """Return the mesh that ``MeshWriter.add`` described. InputError if missing or damaged."""
         vertices, k = self._archive.array(facts["vertices"]), int(facts["faces"])
         if k in self._shapes:
             return self._shapes[k].with_vertices(vertices)

@@ -16,17 +16,17 @@ FARTHEST = 1e12  # um; products of three such lengths are still numbers
 
 
 def is_tensor(array: object) -> bool:
-    """True for a torch tensor. Asks by behaviour, so that geometry does not import torch."""
+    """True for a torch tensor; tests its attributes, so that geometry need not import torch."""
     return hasattr(array, "detach") and hasattr(array, "requires_grad")
 
 
 def to_numpy(array: Any) -> NDArray[Any]:
-    """A numpy array from an array, a sequence or a tensor (detached, on the CPU)."""
+    """Convert an array, a sequence or a tensor (detached, moved to the CPU) to a NumPy array."""
     return np.asarray(array.detach().cpu().numpy() if is_tensor(array) else array)
 
 
 def checked_integers(values: Any, columns: int, name: str) -> IntArray:
-    """A checked int64 copy of shape (n, columns)."""
+    """Return an int64 copy, (n, columns). InputError, which calls it ``name``, if that fails."""
     try:
         array = to_numpy(values)
         if array.size == 0:
@@ -44,7 +44,7 @@ def checked_integers(values: Any, columns: int, name: str) -> IntArray:
 
 
 def checked_vertices(vertices: Any) -> Any:
-    """Vertices as a float64 array (a copy), or the tensor itself, with finite values."""
+    """Return a float64 copy, or the tensor itself. InputError unless finite and (n, 3)."""
     if not is_tensor(vertices):
         try:
             if np.iscomplexobj(vertices):

@@ -9,13 +9,13 @@ from .compiled import native
 from .connected import connected
 from .mesh import FloatArray, IntArray, Mesh
 
-# Cotangents beyond these are of slivers, whose curvature says nothing of the surface.
+# Cotangents beyond these belong to slivers, whose curvature says nothing about the surface.
 _LEAST, _LARGEST = -2.0, 4.0
-# Of the mean area of a vertex. The energy divides by that area: without a bound, vertices among
-# slivers would be held hardest, just where the curvature tells least about the surface.
+# Share of the mean area per vertex. The energy divides by a vertex's area: without a bound,
+# vertices among slivers would be held hardest, where the curvature tells least about the surface.
 _SMALL = 0.25
-# Squares of the PSF's width that a wall must have for its own mean curvature to count half; chosen:
-# the area within two widths, as less of a surface cannot be told from its blur.
+# Area, in squares of the PSF's width, at which a wall's own mean curvature counts half; chosen: the
+# area within two widths, as a smaller piece of surface cannot be told from its blur.
 _OWN = 4 * np.pi
 _POINT = 1e-100  # um^2: a surface without area has no curvature
 _NO_AREA = 1e-12  # of the mean area: a face without area has no cotangents
@@ -29,19 +29,19 @@ class BendingEnergy:
     vertex it is ``1/2 sum over vertices of |K_i|^2 / A_i`` (M. Meyer et al., "Discrete
     differential-geometry operators for triangulated 2-manifolds", 2003).
 
-    Of a wall that ends at junctions, only what its curvature differs by from its own mean counts:
-    ``1/2 integral of |2 H - c|^2 dA + 1/2 own c^2``, at the c that makes it least, is the energy
-    less ``1/2 M^2 / (S + own)``, with M the integral of 2 H and S the area. Tension and pressure
-    make walls of even curvature; held against that itself, a cap would grow at the cost of its rim.
+    For a wall that ends at junctions, only the deviation of its curvature from its own mean counts:
+    ``1/2 integral of |2 H - c|^2 dA + 1/2 own c^2``, at the c that minimises it, is the energy less
+    ``1/2 M^2 / (S + own)``, with M the integral of 2 H and S the area. Tension and pressure make
+    walls of even curvature; if that were penalised, a cap would grow at the cost of its rim.
 
     Parameters
     ----------
     mesh
-        Its connectivity. Vertices count whose edges all belong to exactly two faces, less where
-        they have hardly any area.
+        Only its connectivity and areas are used. A vertex counts if all its edges belong to exactly
+        two faces, and less where it has hardly any area.
     width
         um, of the PSF: walls much smaller than that have no mean curvature of their own. None: no
-        wall has.
+        wall has one.
     """
 
     def __init__(self, mesh: Mesh, width: float | None = None) -> None:
@@ -60,8 +60,10 @@ class BendingEnergy:
     def _bounded_walls(
         self, mesh: Mesh, uses: IntArray, asked: bool
     ) -> tuple[IntArray, FloatArray, int]:
-        """(V,) number of the wall that a vertex lies within, -1 for none and for those that close;
-        (F,) which way faces look, the same throughout a wall; and how many there are.
+        """Number the walls that end at junctions or borders.
+
+        Return (V,) the number of the wall that each vertex lies within, -1 for none or a closed
+        one; (F,) the sign of each face's normal, the same throughout a wall; and their number.
         """
         none: IntArray = np.full(self._count, -1, np.int64)
         side = np.where(mesh.regions[:, 0] <= mesh.regions[:, 1], 1.0, -1.0)
@@ -88,7 +90,7 @@ class BendingEnergy:
         return energy, gradient
 
     def _in_numpy(self, vertices: FloatArray) -> tuple[float, FloatArray]:
-        """What the compiled loops compute (``csrc/bending.h``)."""
+        """Compute the same as the compiled loops (``csrc/bending.h``)."""
         corners = vertices[self._faces]
         # Edge vectors opposite each corner; the angle at corner p lies between the two others.
         edges = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
@@ -146,11 +148,11 @@ class BendingEnergy:
         return energy, np.stack([self._at_vertices(gradient[:, :, i]) for i in range(3)], 1)
 
     def curvature(self, vertices: FloatArray, directions: FloatArray) -> sp.csr_matrix:
-        """(V, V) Gauss-Newton second derivatives, 1/um^2: one displacement for each vertex.
+        """Return (V, V) Gauss-Newton second derivatives, 1/um^2, for one displacement a vertex.
 
         ``sum over z, y, x of Q' Q`` with ``Q = A^-1/2 L diag(direction)``, L the matrix of
-        cotangents: areas and cotangents are held. Symmetric, and nowhere negative. What a
-        wall's own mean curvature frees is left in: errors with and without it were the same.
+        cotangents: areas and cotangents are held fixed. Symmetric and positive semidefinite. The
+        term of a wall's own mean curvature is not subtracted: errors were the same either way.
 
         Parameters
         ----------
@@ -186,7 +188,7 @@ class BendingEnergy:
 def _through_cotangents(
     by_cotangent: FloatArray, doubled: FloatArray, edges: FloatArray
 ) -> FloatArray:
-    """(F, 3, 3) gradient through the dot products of the cotangents, areas held."""
+    """Return (F, 3, 3) the gradient through the cotangents' dot products, areas held fixed."""
     by_dot = by_cotangent / doubled[:, None]
     # The dot product at corner p is minus that of the edges p + 1 and p + 2.
     to_edges = -(

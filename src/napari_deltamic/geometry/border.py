@@ -1,4 +1,4 @@
-"""What lies beyond the border of an image."""
+"""Which parts of a mesh lie beyond the border of an image."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from .mesh import OUTSIDE, Mesh
 
 
 class ImageGrid(Protocol):
-    """Where the voxels of an image lie, um; a ``Grid`` is one."""
+    """Anything that says where the voxels of an image lie (um), such as a ``Grid``."""
 
     @property
     def extent(self) -> tuple[NDArray, NDArray]:
-        """Centres of the first and the last voxel."""
+        """The centres of the first and the last voxel, (3,) um each."""
 
 
 def beyond(mesh: Mesh, grid: ImageGrid) -> NDArray[np.bool_]:
-    """(V,) vertices at or beyond the centres of the outermost voxels.
+    """Return (V,) bool: vertices at or beyond the centres of the outermost voxels.
 
-    No voxel lies further out, so nothing tells whether a surface there is where a cell ends, or
-    where it is cut. One that lies further in has voxels on both sides, however near the border.
+    No voxel lies further out, so nothing tells whether a surface there is where a cell ends or
+    where it is cut. A vertex further in has voxels on both sides, however near the border it is.
     Measured: membranes and insides 0.25 to 1.5 voxels further in were found to 0.2 voxel, and those
     of spheres that reached up to 3 voxels beyond ended beyond, too.
     """
@@ -32,6 +32,6 @@ def beyond(mesh: Mesh, grid: ImageGrid) -> NDArray[np.bool_]:
 
 
 def cut_cells(mesh: Mesh, grid: ImageGrid) -> frozenset[int]:
-    """Cells that the border of an image cuts: some of their surface lies beyond it."""
+    """Return the cells that the border of an image cuts: some of their surface lies beyond it."""
     faces = beyond(mesh, grid)[mesh.faces].any(axis=1)
     return frozenset(np.unique(mesh.regions[faces]).tolist()) - {OUTSIDE}

@@ -1,4 +1,4 @@
-"""Changing a mesh by hand: where it is touched, and how far each vertex follows."""
+"""Tools for changing a mesh by hand: where it is touched, and how far each vertex follows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Touch:
     """A point of a surface.
 
     point : (3,) um, Z, Y, X.
-    face : that it lies in.
+    face : index of the face that it lies in.
     """
 
     point: FloatArray
@@ -25,13 +25,13 @@ class Touch:
 
 
 def touched_by_ray(mesh: Mesh, start: FloatArray, direction: FloatArray) -> Touch | None:
-    """The first point at which a line meets a mesh.
+    """Find the first point at which a line meets a mesh.
 
     Parameters
     ----------
     mesh : any mesh, um.
-    start : (3,) um, any point of the line; what lies before it counts as well.
-    direction : (3,) in which the line is looked along; any length but 0.
+    start : (3,) um, any point of the line; points of the mesh before it count as well.
+    direction : (3,) the direction of view along the line; any length but 0.
 
     Returns
     -------
@@ -71,14 +71,14 @@ def touched_by_ray(mesh: Mesh, start: FloatArray, direction: FloatArray) -> Touc
 def touched_on_section(
     segments: FloatArray, faces: IntArray, axis: int, point: FloatArray, reach: float
 ) -> Touch | None:
-    """The point of a contour nearest to a point of its plane.
+    """Find the point of a contour nearest to a point of its plane.
 
     Parameters
     ----------
     segments, faces : (S, 2, 2) um and (S,): a section, see ``measure.section``.
-    axis : across which the plane lies.
+    axis : perpendicular to the plane.
     point : (3,) um, in the plane.
-    reach : um; what is farther away is not touched.
+    reach : um; a contour farther away than this is not touched.
 
     Returns
     -------
@@ -100,16 +100,16 @@ def touched_on_section(
 
 
 def falloff(mesh: Mesh, touch: Touch, radius: float) -> FloatArray:
-    """The share of a displacement that each vertex follows.
+    """Return the share of a displacement that each vertex follows.
 
     ``(1 - (d / r)^2)^2`` with the distance d from the touch: 1 there, and flat at both ends. Only
-    what is connected with the touched face within the radius r moves, so the far side of a thin
-    cell stays. Where no vertex is near, the brush is as large as the touched face needs.
+    vertices connected with the touched face within the radius r move, so the far side of a thin
+    cell stays. If no vertex is that near, the brush grows to reach those of the touched face.
 
     Parameters
     ----------
     mesh : um.
-    touch : where.
+    touch : where the mesh is touched.
     radius : um, positive.
 
     Returns
@@ -128,7 +128,7 @@ def falloff(mesh: Mesh, touch: Touch, radius: float) -> FloatArray:
 
 
 def _together(mesh: Mesh, within: np.ndarray, corners: IntArray) -> np.ndarray:
-    """(V,) bool: those of a set of vertices that are connected with some corners."""
+    """Return (V,) bool: which vertices of a set are connected with some corners."""
     within = within.copy()
     within[corners] = True
     edges = mesh.edges()
@@ -138,13 +138,13 @@ def _together(mesh: Mesh, within: np.ndarray, corners: IntArray) -> np.ndarray:
 
 
 def outward(mesh: Mesh, face: int) -> FloatArray:
-    """Unit normals at the vertices, out of the region that a face bounds.
+    """Return unit normals at the vertices, pointing out of the region that a face bounds.
 
     Weighted by area. A face between two cells bounds the one that its normal points out of.
 
     Returns
     -------
-    (V, 3) Z, Y, X; 0 at vertices that the region does not have.
+    (V, 3) Z, Y, X; 0 at vertices that are not on the region's surface.
     """
     inner, outer = (int(r) for r in mesh.regions[face])
     return out_of(mesh, outer if inner == OUTSIDE else inner)

@@ -1,4 +1,4 @@
-"""What belongs to the vertices of a mesh, on another triangulation of the same surface."""
+"""Values at the vertices of a mesh, carried to another triangulation of the same surface."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from .mesh import Mesh
 
 
 def same_triangles(a: Mesh, b: Mesh) -> bool:
-    """Whether the vertices of two meshes have the same numbers."""
+    """Whether two meshes have the same faces, so that equal indices mean the same vertex."""
     return a.faces is b.faces or (
         len(a.vertices) == len(b.vertices) and np.array_equal(a.faces, b.faces)
     )
 
 
 def carried(values: NDArray[Any], before: Mesh, after: Mesh) -> NDArray[Any]:
-    """(V', ...) values for the vertices of a mesh, from those (V, ...) of another triangulation.
+    """Carry values (V, ...) at the vertices of a mesh to those of another triangulation, (V', ...).
 
-    Each vertex takes the value of the nearest one: remeshing leaves the surface where it is.
+    Each vertex takes the value of the nearest old one: remeshing leaves the surface where it is.
     """
     if same_triangles(before, after):
         return values

@@ -1,4 +1,4 @@
-"""The bending energy of cells as closed bodies: a weak prior where walls do not shine."""
+"""The bending energy of cells as closed bodies: a weak prior for images without bright walls."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ class CellBending:
 
     A wall that two cells share counts once for each, and junctions bend like any other place.
     Where membranes shine that would be wrong: walls meet at angles, which the image shows. Where
-    insides alone do, a wall between two that are equally bright does not show at all; free at its
-    junctions, it wandered through both.
+    only insides shine, a wall between two equally bright cells does not show at all; left free at
+    its junctions, it wandered through both.
 
     Parameters
     ----------
     mesh
-        Its connectivity; without walls between cells, the energy is that of its surface.
+        Only its connectivity is used; without walls between cells the energy is the surface's.
     """
 
     def __init__(self, mesh: Mesh) -> None:
         self._count = len(mesh.vertices)
         face, side = np.nonzero(mesh.regions != OUTSIDE)
         cell = np.unique(mesh.regions[face, side], return_inverse=True)[1]
-        # A vertex of the mesh is one for each cell that it belongs to.
+        # A vertex of the mesh becomes one vertex for each cell that it belongs to.
         own = cell[:, None] * self._count + mesh.faces[face]
         used, corners = np.unique(own, return_inverse=True)
         self._vertices = used % self._count  # of the mesh, for each vertex of a cell
@@ -41,7 +41,7 @@ class CellBending:
         return energy, np.stack(list(columns), 1)
 
     def curvature(self, vertices: FloatArray, directions: FloatArray) -> sp.csr_matrix:
-        """(V, V) Gauss-Newton second derivatives, 1/um^2, as of `BendingEnergy`.
+        """Return (V, V) Gauss-Newton second derivatives, 1/um^2, as `BendingEnergy` does.
 
         vertices : (V, 3) um. directions : (V, 3) unit vectors along which vertices move.
         """

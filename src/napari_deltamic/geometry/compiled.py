@@ -1,4 +1,4 @@
-"""The compiled part: remeshing, and what keeps surfaces apart."""
+"""The compiled extension for remeshing and for keeping surfaces apart."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from types import ModuleType
 
 
 def native() -> ModuleType | None:
-    """The compiled extension, or None where it is missing."""
+    """Return the compiled extension, or None where it is missing."""
     try:
         from . import _remesh  # type: ignore[attr-defined]
     except ImportError:

@@ -11,16 +11,16 @@ from .mesh import IntArray, Mesh
 
 
 def connected(links: IntArray, count: int) -> IntArray:
-    """Number the groups of things that links join.
+    """Number the groups of items that links join.
 
     Parameters
     ----------
     links
-        (n, 2) of ``count`` things.
+        (n, 2) pairs of item numbers below ``count``.
 
     Returns
     -------
-    (count,) group of each, numbered from 0 in the order of their first members.
+    (count,) group of each item, numbered from 0 in the order of the groups' first members.
     """
     library = native()
     if library is not None:
@@ -33,19 +33,19 @@ def connected(links: IntArray, count: int) -> IntArray:
 
 
 def sharing(marks: IntArray, count: int) -> IntArray:
-    """(n,) number of the group of each row of marks (n, k) below ``count``: groups share none."""
+    """Return (n,) group of each row of marks (n, k) below ``count``; groups share no mark."""
     n, k = marks.shape
     links = np.column_stack([np.repeat(np.arange(n), k), n + marks.ravel()])
     return connected(links, n + count)[:n]
 
 
 def pieces(mesh: Mesh) -> IntArray:
-    """(V,) number of the connected piece of the surface that each vertex belongs to."""
+    """Return (V,) the number of the connected piece of the surface that each vertex belongs to."""
     return connected(mesh.edges(), len(mesh.vertices))
 
 
 def adjacency(mesh: Mesh, edges: IntArray | None = None) -> sp.csr_matrix:
-    """(V, V) of ones where edges (n, 2), by default all, join two vertices."""
+    """Return (V, V), 1 where one of the edges (n, 2), by default all edges, joins two vertices."""
     ends, n = mesh.edges() if edges is None else edges, len(mesh.vertices)
     both = np.concatenate([ends, ends[:, ::-1]])
     return sp.coo_matrix((np.ones(len(both)), tuple(both.T)), (n, n)).tocsr()

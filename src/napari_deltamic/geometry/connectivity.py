@@ -1,4 +1,4 @@
-"""Which vertices a mesh's faces join, which regions they part, and what follows from that alone."""
+"""Which vertices a mesh's faces join, which regions they separate, and what follows from that."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LARGEST_REGION = 1 << 40  # so that pairs of regions and edges have a number
 
 
 class Connectivity:
-    """Faces and regions, checked; shared between meshes whose vertices moved."""
+    """Checked faces and regions; shared between meshes that differ only in where vertices are."""
 
     def __init__(self, faces: Any, regions: Any, n_vertices: int) -> None:
         self.n_vertices = n_vertices
@@ -48,13 +48,13 @@ class Connectivity:
 
     @cached_property
     def region_ids(self) -> IntArray:
-        """Sorted, without the outside."""
+        """Sorted region numbers, without the outside."""
         ids = np.unique(self.regions)
         return ids[ids != OUTSIDE]
 
     @cached_property
     def faces_by_region(self) -> dict[int, IntArray]:
-        """Rows of the faces of each region, increasing: one pass, however many regions."""
+        """Increasing rows of the faces of each region, by its number; one pass for all regions."""
         sides = self.regions.ravel()
         order = np.argsort(sides, kind="stable")
         ids, first = np.unique(sides[order], return_index=True)
@@ -63,13 +63,13 @@ class Connectivity:
 
     @cached_property
     def interfaces(self) -> tuple[IntArray, IntArray]:
-        """Pairs of regions that share faces, and the row of each face among them."""
+        """(P, 2) pairs of regions that share faces, and (F,) the row of each face's pair."""
         # Larger number first, so that both ways of writing a wall are one interface.
         return unique_pairs(np.sort(self.regions, axis=1)[:, ::-1])
 
     @cached_property
     def edges(self) -> tuple[IntArray, IntArray]:
-        """(E, 2) edges, and (F, 3) the row of the one opposite each corner."""
+        """(E, 2) edges, and (F, 3) the row of the edge opposite each corner."""
         corners = np.sort(self.faces[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
         keys, index = np.unique(
             corners[:, 0] * self.n_vertices + corners[:, 1], return_inverse=True
@@ -79,13 +79,13 @@ class Connectivity:
 
     @cached_property
     def edge_uses(self) -> IntArray:
-        """(E,) how many faces each edge belongs to."""
+        """(E,) number of faces that each edge belongs to."""
         edges, by_face = self.edges
         return np.bincount(by_face.ravel(), minlength=len(edges))
 
     @cached_property
     def open_regions(self) -> IntArray:
-        """Regions with an edge that an odd number of their faces share."""
+        """Numbers of the regions with an edge that an odd number of their faces share."""
         face_edges = self.edges[1]
         keys = np.concatenate(
             [(self.regions[:, side, None] * len(self.edges[0]) + face_edges) for side in (0, 1)]

@@ -1,9 +1,9 @@
-"""Contacts: what it means that two cells touch, here and nowhere else.
+"""Contacts: the only definition of what it means that two cells touch.
 
-Two cells of a mesh touch where they share a wall: a face has one on either side, however small the
-wall is. Cells whose own membranes lie close to each other do not touch. Two labels touch where
-faces of voxels lie between them; how many make a contact is for the caller to say. The outside is
-no cell.
+Two cells of a mesh touch if they share a wall, however small: a face with one of them on either
+side. Cells whose separate membranes lie close to each other do not touch. Two labels touch where
+faces of voxels lie between them; the caller decides how many make a contact. The outside is not a
+cell.
 """
 
 from __future__ import annotations
@@ -16,41 +16,42 @@ from numpy.typing import NDArray
 from .mesh import OUTSIDE, IntArray, Mesh
 from .pairs import unique_pairs
 
-# Pairs of numbers, which are counted by number rather than sorted; chosen: a table of 32 MB.
+# Up to this many possible pairs, a table counts the faces of each; beyond, they are sorted. Chosen:
+# a table of 32 MB.
 _MANY = 4_000_000
 
 Pair = tuple[int, int]  # two regions, the smaller number first
 
 
 def walls(mesh: Mesh) -> set[Pair]:
-    """Pairs of regions with a face between them, those with the outside (0) included."""
+    """Return the pairs of regions with a face between them, including pairs with outside (0)."""
     return {(b, a) for a, b in mesh.interfaces()[0].tolist()}
 
 
 def contacts(mesh: Mesh) -> set[Pair]:
-    """Pairs of cells that touch."""
+    """Return the pairs of cells that touch."""
     return between_cells(walls(mesh))
 
 
 def between_cells(pairs: Iterable[Pair]) -> set[Pair]:
-    """Those of some pairs of regions, in any order, that are contacts: both are cells."""
+    """Return the pairs of regions of which both are cells, each with the smaller number first."""
     return {(min(pair), max(pair)) for pair in pairs if OUTSIDE not in pair}
 
 
 def wall_areas(mesh: Mesh) -> dict[Pair, float]:
-    """um^2 between each pair of regions, the outside (0) included."""
+    """Return the wall area (um^2) between each pair of regions, including the outside (0)."""
     pairs, wall = mesh.interfaces()
     areas = np.bincount(wall, mesh.areas(), len(pairs)).tolist()
     return {(b, a): area for (a, b), area in zip(pairs.tolist(), areas, strict=True)}
 
 
 def contact_areas(mesh: Mesh) -> dict[Pair, float]:
-    """um^2 of each contact."""
+    """Return the area (um^2) of each contact between cells."""
     return {pair: area for pair, area in wall_areas(mesh).items() if OUTSIDE not in pair}
 
 
 def neighbours(mesh: Mesh) -> dict[int, list[int]]:
-    """The cells that each cell touches, in order; an empty list for those that touch none."""
+    """Return the sorted neighbours of each cell; an empty list for a cell that touches none."""
     found: dict[int, list[int]] = {region: [] for region in mesh.region_ids().tolist()}
     for a, b in sorted(contacts(mesh)):
         found[a].append(b)
@@ -59,9 +60,9 @@ def neighbours(mesh: Mesh) -> dict[int, list[int]]:
 
 
 def label_contacts(labels: NDArray[np.integer]) -> tuple[IntArray, IntArray]:
-    """Pairs (N, 2) of labels that touch, the smaller first, and the voxel faces between them (N,).
+    """Return (N, 2) pairs of touching labels, the smaller first, and (N,) the voxel faces between.
 
-    Background (0) is no label.
+    The background (0) does not count as a label.
     """
     smaller, larger = [], []
     for axis in range(labels.ndim):
@@ -83,15 +84,12 @@ def label_contacts(labels: NDArray[np.integer]) -> tuple[IntArray, IntArray]:
 
 
 def junction_edges(mesh: Mesh) -> tuple[IntArray, IntArray]:
-    """Rows of the edges in which three walls meet, and the three regions around each, increasing.
-
-    (n,) and (n, 3).
-    """
+    """Return (n,) rows of edges in which three walls meet, and (n, 3) the sorted regions there."""
     face_edges = mesh.face_edges().reshape(-1)
     three = mesh.edge_uses() == 3
     slots = np.flatnonzero(three[face_edges])
     faces = slots[np.argsort(face_edges[slots], kind="stable")] // 3
     around = np.sort(mesh.regions[faces].reshape(-1, 6), axis=1)
-    # Each region is on one side of two of the faces; elsewhere the mesh is open.
+    # Each of the three regions must bound two of the three faces; elsewhere the mesh is open.
     closed = (around[:, ::2] == around[:, 1::2]).all(1)
     return np.flatnonzero(three)[closed], around[closed, ::2]

@@ -16,7 +16,7 @@ _MAX_VOXELS = 60_000_000  # a typing error in edge_length would fill the memory:
 
 
 def foam(centers: FloatArray, radii: FloatArray, edge_length: float) -> Mesh:
-    """One closed region for each sphere; those that overlap share flat walls.
+    """Make one closed region for each sphere; spheres that overlap share flat walls.
 
     A point in several spheres belongs to the one with the smallest power distance
     ``|x - center|^2 - radius^2`` (F. Aurenhammer, "Power diagrams", SIAM J. Comput. 16, 1987).
@@ -45,7 +45,7 @@ def foam(centers: FloatArray, radii: FloatArray, edge_length: float) -> Mesh:
 def spheres_of_foam(
     centers: FloatArray, radii: FloatArray, edge_length: float
 ) -> tuple[list[Mesh], dict[int, str]]:
-    """The work of `foam`: a mesh of each cluster, and what is wrong with spheres without one."""
+    """Do the work of `foam`: meshes, one a cluster, and what is wrong with each unusable sphere."""
     parts: list[Mesh] = []
     lost: dict[int, str] = {}
     for group in _overlapping(centers, radii):
@@ -61,7 +61,7 @@ def spheres_of_foam(
 def _cluster(
     centers: FloatArray, radii: FloatArray, group: IntArray, edge: float, lost: dict[int, str]
 ) -> list[Mesh]:
-    """Meshes of spheres that overlap; those of which nothing is left are added to the lost."""
+    """Mesh a group of overlapping spheres; those of which nothing is left are added to ``lost``."""
     spacing = edge / _VOXELS_PER_EDGE
     own, reach = centers[group], radii[group, None]
     low, high = (own - reach).min(0) - 2 * spacing, (own + reach).max(0) + 2 * spacing
@@ -73,7 +73,7 @@ def _cluster(
     axes = [a + spacing * np.arange(n) for a, n in zip(low, shape, strict=True)]
     for k in group:
         away = [axis - c for axis, c in zip(axes, centers[k], strict=True)]
-        # Its power is negative within the sphere only.
+        # The power distance is negative only within the sphere.
         box = tuple(slice(*np.searchsorted(x, (-radii[k], radii[k]))) for x in away)
         own_power = sum(x**2 for x in np.ix_(*(x[b] for x, b in zip(away, box, strict=True))))
         own_power = own_power - radii[k] ** 2
@@ -89,7 +89,7 @@ def _cluster(
 
 
 def _overlapping(centers: FloatArray, radii: FloatArray) -> list[IntArray]:
-    """Groups of spheres that overlap."""
+    """Group the spheres that overlap."""
     apart = np.linalg.norm(centers[:, None] - centers[None], axis=2)
     group = connected_components(apart < radii[:, None] + radii[None], directed=False)[1]
     return [np.flatnonzero(group == g) for g in np.unique(group)]

@@ -1,7 +1,7 @@
-"""The mesh formats, in one table: readers, writers, dialogs, flags and the manifest go by it.
+"""The table of mesh formats that readers, writers, dialogs, flags and the manifest go by.
 
-Free of the engine, so that the command line can name them at once. A format of the name ``ply`` is
-read and written by ``read_ply`` and ``write_ply`` of ``files/ply.py``.
+It imports nothing heavy, so that the command line can list the formats at once. A format named
+``ply`` is read and written by ``read_ply`` and ``write_ply`` of ``files/ply.py``.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ class MeshFormat:
     Attributes
     ----------
     name
-        Its module in ``files/``.
+        Name of its module in ``files/``, and its suffix.
     title
-        As dialogs call it.
+        Name shown in dialogs.
     regions
         Whether it keeps the region pairs of faces.
     attributes
-        Whether it holds further numbers of the faces.
+        Whether it can hold further numbers for each face.
     """
 
     name: str
@@ -33,7 +33,7 @@ class MeshFormat:
 
     @property
     def suffix(self) -> str:
-        """Of its files, in lower case, with the dot."""
+        """Suffix of its files, in lower case, with the dot."""
         return f".{self.name}"
 
 
@@ -54,6 +54,6 @@ MESH_FILTERS = ";;".join(f"{one.title} (*{one.suffix})" for one in MESH_FORMATS)
 
 
 def mesh_format(path: str | PurePath) -> MeshFormat | None:
-    """The format of a file, by its suffix; None where it is none of a mesh."""
+    """Return the format of a file by its suffix; None if no mesh format has that suffix."""
     suffix = PurePath(path).suffix.lower()
     return next((one for one in MESH_FORMATS if one.suffix == suffix), None)

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Judgement:
-    """Of one fitted cell.
+    """The verdict on one fitted cell.
 
     Attributes
     ----------
     grade
         good, fair or poor.
     shape_error_um
-        What its surface is thought to be off by; None where that is not known.
+        Predicted error of its surface; None where it is not known.
     reasons
-        Why it is no better, joined; empty if there are none.
+        Why the grade is not better, joined into one text; empty if nothing is wrong.
     """
 
     grade: str

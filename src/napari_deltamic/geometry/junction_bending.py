@@ -7,9 +7,9 @@ import scipy.sparse as sp
 
 from .mesh import FloatArray, Mesh
 
-_POINT = 1e-3  # of the mean length: a shorter edge has no direction
-# Of the mean length. The energy divides by lengths: without a bound, the shortest edges would be
-# held hardest, although their directions tell least about the line.
+_POINT = 1e-3  # share of the mean edge length: a shorter edge has no direction
+# Share of the mean edge length. The energy divides by lengths: without a bound, the shortest edges
+# would be held hardest, although their directions tell least about the line.
 _SHORT = 0.5
 
 
@@ -17,21 +17,21 @@ class JunctionBending:
     """``1/2 width integral of k^2 ds`` along the junctions of a mesh, k being how much more they
     bend at a vertex than at its neighbours.
 
-    That is the bending energy of a strip of wall as wide as ``width`` around each line, which that
-    of walls leaves out: walls may meet at any angle, but a line that zigzags between its vertices
-    is no shape of cells. At a vertex between edges of lengths l and m and directions t and u,
-    a line bends by ``2 |u - t| / (l + m)`` over a length of (l + m) / 2 (M. Bergou et al.,
-    "Discrete elastic rods", 2008, to the first order in the angle). k is half the difference of
-    that vector to the mean of both neighbours: all of it in a zigzag, none on a circle, as rims of
-    bubbles are. Where a vertex has no neighbour on its line, k is all that it bends. No unit.
+    That is the bending energy of a strip of wall of this width around each line, which the energy
+    of walls leaves out: walls may meet at any angle, but lines of cells do not zigzag from vertex
+    to vertex. At a vertex between edges of lengths l and m and directions t and u, a line bends by
+    ``2 |u - t| / (l + m)`` over a length of (l + m) / 2 (M. Bergou et al., "Discrete elastic rods",
+    2008, to first order in the angle). k is half the difference between that vector and the mean of
+    those of both neighbours: all of it in a zigzag, none on a circle, such as the rim of a bubble.
+    Where a vertex has no neighbour on its line, k is all of its bend. The energy has no unit.
 
     Parameters
     ----------
     mesh
-        Its connectivity. Vertices count at which exactly two edges meet that belong to three faces
-        or more; those where lines meet are free.
+        Only its connectivity and edge lengths are used. A vertex counts if exactly two of its edges
+        belong to three faces or more; vertices where lines meet are free.
     width
-        um.
+        Of the strip, um.
     """
 
     def __init__(self, mesh: Mesh, width: float) -> None:
@@ -51,7 +51,7 @@ class JunctionBending:
         self._unlike = self._differences()
 
     def _differences(self) -> sp.csr_matrix:
-        """(n, n) from how much each vertex turns to how much more than its neighbours, halved."""
+        """Return (n, n) the matrix from bends to half their excess over the neighbours' mean."""
         n = len(self._middle)
         row = np.full(self._count, -1)
         row[self._middle] = np.arange(n)
@@ -83,7 +83,7 @@ class JunctionBending:
         return float(energies.sum()), gradient
 
     def curvature(self, vertices: FloatArray, directions: FloatArray) -> sp.csr_matrix:
-        """(V, V) Gauss-Newton second derivatives, 1/um^2, as of :class:`~.bending.BendingEnergy`.
+        """Return (V, V) Gauss-Newton second derivatives, 1/um^2, as ``BendingEnergy`` does.
 
         vertices : (V, 3) um. directions : (V, 3) unit vectors along which vertices move.
         """
@@ -103,7 +103,7 @@ class JunctionBending:
     def _directions(
         self, vertices: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Those of the edges before and after each vertex, and their lengths."""
+        """Return unit vectors along the edges before and after each vertex, and their lengths."""
         one = vertices[self._middle] - vertices[self._before]
         two = vertices[self._after] - vertices[self._middle]
         first, second = (np.linalg.norm(e, axis=1) for e in (one, two))
@@ -113,6 +113,6 @@ class JunctionBending:
 
 
 def _across(vectors: FloatArray, axis: FloatArray) -> FloatArray:
-    """(n, 3) without their parts along unit vectors."""
+    """Return vectors (n, 3) without their components along unit vectors."""
     found: FloatArray = vectors - (vectors * axis).sum(1)[:, None] * axis
     return found

@@ -77,7 +77,7 @@ def _note(messages: list[str], n: int, text: str, noun: str) -> None:
 
 
 def _arrays(vertices: Any, faces: Any, regions: Any) -> tuple[FloatArray, IntArray, IntArray]:
-    """Checked shapes and indices. Positions are checked later: unused ones do not matter."""
+    """Check shapes and indices. Positions are checked later, as unused ones do not matter."""
     points = to_numpy(vertices).astype(np.float64)
     labels = None if regions is None else to_numpy(regions)
     same = None
@@ -105,7 +105,7 @@ def _without_unused(
 def _merged(
     points: FloatArray, faces: IntArray, messages: list[str]
 ) -> tuple[FloatArray, IntArray]:
-    """One vertex for all those that coincide; the first one's position stands."""
+    """Merge vertices that coincide; they take the position of the first one."""
     n_bad = int((~np.isfinite(points)).any(axis=1).sum())
     if n_bad:
         raise InputError(f"{n_bad} of {len(points)} vertices are NaN or infinite")
@@ -137,7 +137,7 @@ def _repeated(faces: IntArray) -> NDArray[np.bool_]:
 
 
 def _flat(points: FloatArray, faces: IntArray) -> tuple[NDArray[np.bool_], IntArray]:
-    """Which faces have no area, and the corner opposite each face's longest edge."""
+    """Return (F,) which faces have no area, and the corner opposite each face's longest edge."""
     corners = points[faces]
     edges = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)  # opposite each corner
     lengths = np.linalg.norm(edges, axis=2)
@@ -209,10 +209,10 @@ def _split_at_flat(
 
 
 def _in_order(faces: IntArray, regions: IntArray, messages: list[str]) -> tuple[IntArray, IntArray]:
-    """Larger region number first in each row; the winding turns with it, so nothing moves."""
+    """Put the larger region number first in each row; the winding turns with it."""
     turned = regions[:, 0] < regions[:, 1]
     ordered = np.where(turned[:, None], regions[:, ::-1], regions)
-    # Only a wall written in both ways is a flaw; writing all of it as (0, 1) is a custom.
+    # Only a wall written in both ways is a flaw; writing all of it as (0, 1) is just a convention.
     _, wall = np.unique(ordered, axis=0, return_inverse=True)
     wall = wall.reshape(-1)
     total, n_turned = np.bincount(wall), np.bincount(wall, turned)
@@ -222,7 +222,7 @@ def _in_order(faces: IntArray, regions: IntArray, messages: list[str]) -> tuple[
 
 
 def _first_copies(faces: IntArray, regions: IntArray) -> NDArray[np.bool_]:
-    """Which faces to keep, so that none is there twice without need.
+    """Return (F,) which faces to keep, so that none is there twice without need.
 
     Coincident faces are judged by the patch that they form. One copy stays if that opens no edge.
     Where it would, the patch is a contact of two surfaces, which both need it: as many copies stay
@@ -262,6 +262,6 @@ def _first_copies(faces: IntArray, regions: IntArray) -> NDArray[np.bool_]:
 
 
 def _is_direct(faces: IntArray) -> NDArray[np.bool_]:
-    """Is the corner after the smallest index the middle one? If not, it is the largest."""
+    """Whether the corner after the smallest index is the middle one, not the largest."""
     follower = faces[np.arange(len(faces)), (faces.argmin(axis=1) + 1) % 3]
     return np.equal(follower, np.sort(faces, axis=1)[:, 1])

@@ -1,4 +1,4 @@
-"""Which way is out, at the vertices of a surface."""
+"""Outward directions at the vertices of a surface."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from .mesh import OUTSIDE, FloatArray, Mesh
 
 
 def outwards(mesh: Mesh) -> FloatArray:
-    """(V, 3) unit normals of the surface towards the outside; 0 where cells have none."""
+    """Return (V, 3) unit normals towards the outside (region 0); 0 at vertices not on it."""
     return -out_of(mesh, OUTSIDE)
 
 
 def out_of(mesh: Mesh, region: int) -> FloatArray:
-    """(V, 3) unit normals out of a region, means by area; 0 at vertices that it does not have."""
+    """Return (V, 3) unit normals out of a region, averaged by area; 0 at vertices not on it."""
     sign = (mesh.regions[:, 0] == region).astype(float) - (mesh.regions[:, 1] == region)
     each = mesh.normals() * (sign * mesh.areas())[:, None]
     rows, n = mesh.faces.T.ravel(), len(mesh.vertices)

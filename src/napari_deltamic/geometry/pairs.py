@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 
 def unique_pairs(pairs: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Distinct rows (P, 2) of pairs (n, 2), ascending, and which of them each row is, (n,).
+    """Return the sorted distinct rows (P, 2) of pairs (n, 2), and which of them each row is, (n,).
 
-    As ``np.unique(pairs, axis=0, return_inverse=True)``, in an eighth of the time; and other
-    threads of Python, such as a window's, can run meanwhile.
+    Like ``np.unique(pairs, axis=0, return_inverse=True)``, but in an eighth of the time, and other
+    Python threads, such as a window's, can run meanwhile.
     """
     numbers, index = np.unique(pairs, return_inverse=True)
     index, n = index.reshape(-1, 2), max(len(numbers), 1)

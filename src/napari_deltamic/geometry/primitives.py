@@ -20,7 +20,7 @@ def sphere(
     edge_length: float | None = None,
     subdivisions: int | None = None,
 ) -> Mesh:
-    """A sphere or an ellipsoid with axes along Z, Y, X, from a subdivided icosahedron.
+    """Make a sphere or an ellipsoid with axes along Z, Y, X, from a subdivided icosahedron.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def torus(
     minor_radius: float,
     edge_length: float | None = None,
 ) -> Mesh:
-    """A torus around the Z axis.
+    """Make a torus around the Z axis.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def box(
     size: float | Sequence[float],
     edge_length: float | None = None,
 ) -> Mesh:
-    """A box with sides along Z, Y, X.
+    """Make a box with sides along Z, Y, X.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _positive(value: float | Sequence[float], name: str) -> FloatArray:
 
 
 def _count(length: float, edge_length: float) -> int:
-    """How many parts of at most edge_length make up length."""
+    """Return how many parts of at most edge_length make up length."""
     if not edge_length > 0:
         raise InputError("edge_length must be positive")
     # The small slack keeps 1.0 / 0.1 at 10 parts.
@@ -148,7 +148,7 @@ def _outward(vertices: FloatArray, faces: IntArray) -> Mesh:
 
 
 def _grid_faces(index: IntArray) -> IntArray:
-    """Two triangles for each cell of a grid of vertex indices."""
+    """Return two triangles for each cell of a grid of vertex indices."""
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     return np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
 

@@ -25,7 +25,7 @@ _NAMED = 12  # of those that are left out for one reason; chosen: two lines of t
 
 
 def told(refused: Sequence[str], of: int, what: str) -> str:
-    """All that is left out of so many seeds, in one line.
+    """Say in one line what is left out of so many seeds.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def told(refused: Sequence[str], of: int, what: str) -> str:
 
 
 def _grouped(refused: Sequence[str], what: str) -> list[str]:
-    """Sentences, once for all seeds of which they say the same."""
+    """Join sentences that say the same about several seeds."""
     found: dict[str, tuple[str, list[str]]] = {}
     for text in refused:
         numbers = re.findall(rf"\b{what} (\d+)", text)

@@ -15,7 +15,7 @@ from .mesh import FloatArray, IntArray, Mesh
 from .topology.crossings import crosses, crossings
 
 _TOUCH = 1e-6  # of the wanted length: surfaces as near to each other touch
-# Of the longest edge, around what has come to cross: operations are looked at, and faces with which
+# In longest edges, around crossings: where operations are checked, and where faces lie with which
 # they might collide. Less than two edges around a vertex change with it.
 _GUARDED, _SEEN = 3.0, 5.0
 _PASSES = 3  # bring any mesh of about the right edge length into shape
@@ -32,7 +32,7 @@ class Remeshed:
     carried
         (V, C): the numbers given for each vertex; means of those that were merged or split.
     fixed
-        (V,) bool: the vertices that were to stay.
+        (V,) bool: the vertices that had to stay.
     origin
         (V,) the given vertex that each one is, moved or not; -1 for those that are new. What is
         left of the given ones keeps their order.
@@ -45,7 +45,7 @@ class Remeshed:
 
 
 def can_remesh() -> bool:
-    """Whether the compiled extension is there."""
+    """Whether remeshing is possible: it needs the compiled extension."""
     return native() is not None
 
 
@@ -75,7 +75,7 @@ def remesh(
     edge_length
         um; one number, or (V,) for each vertex.
     passes
-        1 keeps a good mesh good; None: as many as the longest edge asks for.
+        1 keeps a good mesh good; None: as many as the longest edge needs.
     carried
         (V, C) or (V,) numbers that vertices take along.
     fixed
@@ -86,7 +86,7 @@ def remesh(
     smooth
         Whether vertices may move at all.
     apart
-        Surfaces that do not cross stay so: what would make them cross is not done.
+        Whether operations that would make surfaces cross are left out.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _kept_apart(
     held: np.ndarray,
     smooth: bool,
 ) -> Remeshed:
-    """Remeshed once more where surfaces have come to cross, each operation looked at there."""
+    """Remesh once more if surfaces have come to cross, and check each operation near there."""
     near = _TOUCH * float(length.min())
     trouble = _crossing_corners(done.mesh, near)
     if not len(trouble) or crosses(mesh):
@@ -143,12 +143,12 @@ def _kept_apart(
         if not len(found):
             return done
         trouble = np.concatenate([trouble, found])
-    # By rounding.
+    # What still crosses does so by rounding: the mesh stays as it was.
     return Remeshed(mesh, loads, held > 0, np.arange(len(vertices)))
 
 
 def _crossing_corners(mesh: Mesh, near: float) -> FloatArray:
-    """(n, 3) um: the corners of edges and faces that cross."""
+    """Return the corners of edges and faces that cross, (n, 3) um."""
     found = crossings(mesh, near)
     corners = np.concatenate([mesh.edges()[found[:, 0]], mesh.faces[found[:, 1]]], axis=1)
     return mesh.vertices_numpy()[np.unique(corners)]
@@ -192,7 +192,7 @@ def _remeshed(
 
 
 def smallest_angles(mesh: Mesh) -> FloatArray:
-    """(F,) the smallest angle of each face, degrees; 0 where it has no area."""
+    """Return (F,) the smallest angle of each face, degrees; 0 if it has no area."""
     corners = mesh.vertices_numpy()[mesh.faces]
     to_next = np.roll(corners, -1, axis=1) - corners
     to_last = np.roll(corners, 1, axis=1) - corners

@@ -24,7 +24,7 @@ from .three_numbers import three_numbers
 Triple = Sequence[float]
 FEWEST_SLICES = 3  # along each axis: else a region has no voxel with a crest on either side
 _ALL = slice(None)
-_NAMED = 10  # lines, at most, in a sentence: more would fill a window that nobody reads
+_NAMED = 10  # most lines named in a message: nobody would read more of them
 
 
 def labels_from_points(
@@ -37,7 +37,7 @@ def labels_from_points(
 ) -> NDArray[np.int32]:
     """Label the dark region that each point lies in, up to the crest of its bright membrane.
 
-    Where there is none, as in a nucleus, it is the cell that is found there without help.
+    If there is none, as in a nucleus, it is the cell that is found there without points.
 
     Parameters
     ----------
@@ -83,18 +83,18 @@ def seeds_from_points(
     origin: Triple = (0.0, 0.0, 0.0),
     edge_length: float | None = None,
 ) -> Mesh:
-    """Starting surfaces for the objects that points name; region k is the k-th point (from 1).
+    """Make starting surfaces for the objects that points name; region k is the k-th point (from 1).
 
-    Where `radii` (um, one a point; nan or 0 = not known) gives a radius the surface is a sphere;
-    spheres that overlap become cells that share walls, see `foam`. Elsewhere it follows the
-    membrane around the point, see `labels_from_points`. Points that cannot be used, as told there,
-    for a radius that is no length, or because their sphere lies within others, are left out; one
-    RepairWarning names them all.
+    If `radii` (um, one a point; nan or 0 = not known) give a radius, the surface is a sphere;
+    spheres that overlap become cells that share walls, see `foam`. Otherwise it follows the
+    membrane around the point, see `labels_from_points`. Points that cannot be used, for the reasons
+    given there, because a radius is no length, or because their sphere lies within others, are left
+    out; one RepairWarning names them all.
 
     Raises
     ------
     InputError
-        As `labels_from_points`, or not one radius a point.
+        As in `labels_from_points`, or if the number of radii is not that of points.
     """
     parts, refused = surfaces_of_points(image, voxel_size, points, radii, origin, edge_length)
     _tell(refused, len(np.asarray(points)))
@@ -109,7 +109,7 @@ def surfaces_of_points(
     origin: Triple = (0.0, 0.0, 0.0),
     edge_length: float | None = None,
 ) -> tuple[list[Mesh], list[Refused]]:
-    """The work of `seeds_from_points`: meshes, which may be none, and the points left out."""
+    """Do the work of `seeds_from_points`: return meshes, maybe none, and the points left out."""
     data, centres = _checked_image(image), _checked_points(points)
     size, start = (
         three_numbers(voxel_size, "voxel size"),
@@ -154,8 +154,8 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
     Raises
     ------
     InputError
-        The file cannot be read, has another header, no points, or lines without numbers, all of
-        which the first are named.
+        The file cannot be read, has another header, no points, or lines without numbers, of which
+        the first are named.
     """
     rows = _rows_of(path)
     header = [field.lower() for field in rows[0]] if rows else []
@@ -173,7 +173,7 @@ def read_points_csv(path: str | Path) -> tuple[FloatArray, FloatArray | None]:
 def read_napari_points(path: str | Path) -> FloatArray | None:
     """Read the (n, 3) voxel numbers of a Points layer that napari saved as CSV.
 
-    None where the file is another table. What else napari wrote of each point is not read.
+    None if the file is another table. Other columns are not read.
 
     Raises
     ------
@@ -202,9 +202,9 @@ def _rows_of(path: str | Path) -> list[list[str]]:
 def _values(
     path: str | Path, rows: Sequence[Sequence[str]], columns: int, used: slice = _ALL
 ) -> FloatArray:
-    """Numbers of the columns that are used, in the lines after the first; empty ones are left out.
+    """Read the used columns of the lines after the first, without empty lines.
 
-    columns : how many fields each line should have.
+    columns : number of fields that each line should have.
     """
     table: list[list[float]] = []
     wrong: list[str] = []
@@ -215,7 +215,7 @@ def _values(
             table.append(_numbers(row, columns, used))
         except ValueError as error:
             wrong.append(f"line {number}: {one_reason(error)}")
-    if wrong:  # the numbers of the others would not be those of their lines
+    if wrong:  # skipping lines would shift the numbers of all later points
         more = f"; and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else ""
         raise InputError(f"{path}, {'; '.join(wrong[:_NAMED])}{more}")
     if not table:
@@ -248,7 +248,7 @@ def _checked_points(points: ArrayLike) -> FloatArray:
 
 
 def _numbers(row: Sequence[str], columns: int, used: slice) -> list[float]:
-    """A line of a table of points; ValueError says what is wrong with it."""
+    """Read a line of a table of points. ValueError says what is wrong with it."""
     if len(row) != columns:
         raise ValueError(f"{len(row)} fields instead of {columns}")
     row = row[used]
@@ -259,7 +259,7 @@ def _numbers(row: Sequence[str], columns: int, used: slice) -> list[float]:
 
 
 def _known_radii(radii: ArrayLike | None, points: FloatArray) -> tuple[FloatArray, list[Refused]]:
-    """(n,) um, 0 = not known; and the points whose radius is no length."""
+    """Return (n,) radii in um, 0 = not known, and the points whose radius is no length."""
     if radii is None:
         return np.zeros(len(points)), []
     array = np.asarray(radii, np.float64)
@@ -277,7 +277,7 @@ def _spheres_of_another_unit(
     origin: FloatArray,
     shape: tuple[int, ...],
 ) -> list[Refused]:
-    """Spheres whose surface does not meet the image, or that are smaller than a voxel."""
+    """Refuse spheres whose surface does not meet the image, or that are smaller than a voxel."""
     last = origin + size * (np.array(shape) - 1)
     corner = np.maximum(np.abs(points - origin), np.abs(points - last))
     around = radius > np.linalg.norm(corner, axis=1)
@@ -294,7 +294,7 @@ def _spheres_of_another_unit(
 def _point_voxels(
     points: FloatArray, size: FloatArray, origin: FloatArray, shape: tuple[int, ...]
 ) -> tuple[dict[int, IntArray], list[Refused]]:
-    """The voxel of each point that lies in the image, by its number; and the other points."""
+    """Return the voxel of each point in the image, by its number, and the points outside."""
     voxels: dict[int, IntArray] = {}
     refused = []
     for number, point in enumerate(points, 1):

@@ -20,25 +20,25 @@ class Subdivided:
     mesh
         The fine one.
     weights
-        (fine, coarse) sparse: each fine vertex is this mean of coarse ones, so a displacement of
-        the coarse mesh is carried by the same matrix.
+        (fine, coarse) sparse: each fine vertex is a weighted mean of coarse ones, so the same
+        matrix carries a displacement of the coarse mesh.
     """
 
     mesh: Mesh
     weights: sp.csr_matrix
 
     def again(self) -> Subdivided:
-        """Four times the triangles once more."""
+        """Subdivide once more, to four times the triangles."""
         finer = subdivided(self.mesh)
         return Subdivided(finer.mesh, (finer.weights @ self.weights).tocsr())
 
     def moved(self, coarse: FloatArray) -> Mesh:
-        """The fine mesh of other places (V, 3) of the coarse vertices."""
+        """Return the fine mesh for other positions (V, 3) um of the coarse vertices."""
         return self.mesh.with_vertices(self.weights @ coarse)
 
 
 def subdivided(mesh: Mesh) -> Subdivided:
-    """One step of Loop's scheme.
+    """Apply one step of Loop's scheme.
 
     Inside a wall the masks are those of C. Loop ("Smooth subdivision surfaces based on triangles",
     1987); along junctions and borders, those of cubic splines, as for creases (H. Hoppe et al.,
@@ -59,7 +59,7 @@ def subdivided(mesh: Mesh) -> Subdivided:
 
 
 def _edge_of(mesh: Mesh, edges: IntArray, by_face: IntArray, a: int, b: int) -> IntArray:
-    """(F,) number of the edge between two corners of each face."""
+    """Return (F,) the number of the edge between two corners of each face."""
     ends = np.sort(mesh.faces[:, [a, b]], axis=1)
     same = (np.sort(edges, axis=1)[by_face] == ends[:, None]).all(2)
     found: IntArray = np.take_along_axis(by_face, same.argmax(1)[:, None], 1)[:, 0]
@@ -67,7 +67,7 @@ def _edge_of(mesh: Mesh, edges: IntArray, by_face: IntArray, a: int, b: int) -> 
 
 
 def _new(mesh: Mesh, edges: IntArray, by_face: IntArray, inner: np.ndarray) -> sp.csr_matrix:
-    """(E, V) of the middles of edges: 3/8 of the ends and 1/8 of the corners opposite, or 1/2."""
+    """Return (E, V) weights of edge points: 3/8 for ends, 1/8 for opposite corners; or 1/2."""
     shape = len(edges), len(mesh.vertices)
     ends = np.where(inner, 3 / 8, 1 / 2)
     rows, columns, values = [], [], []
@@ -86,7 +86,7 @@ def _new(mesh: Mesh, edges: IntArray, by_face: IntArray, inner: np.ndarray) -> s
 
 
 def _old(mesh: Mesh, edges: IntArray, inner: np.ndarray) -> sp.csr_matrix:
-    """(V, V) of the vertices that were there."""
+    """Return (V, V) weights of the vertices that were there before."""
     n = len(mesh.vertices)
     lines = edges[~inner]
     on_lines = np.bincount(lines.ravel(), minlength=n)

@@ -1,4 +1,4 @@
-"""Three numbers of a user, one along each axis."""
+"""Checks three numbers of a user, one along each axis."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .mesh import FloatArray
 def three_numbers(
     values: Sequence[float] | FloatArray, name: str, *, positive: bool = True
 ) -> FloatArray:
-    """(3,) um, Z, Y, X. InputError, in which they have a name, unless finite and positive."""
+    """Return (3,) um, Z, Y, X. InputError, which calls them ``name``, unless finite, positive."""
     array = np.asarray(values, np.float64)
     if array.shape != (3,) or not np.isfinite(array).all() or (positive and (array <= 0).any()):
         raise InputError(f"{name} must be 3 {'positive ' * positive}numbers (um, Z, Y, X)")

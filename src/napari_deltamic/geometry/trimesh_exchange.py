@@ -1,4 +1,4 @@
-"""Meshes from and to trimesh, which has x, y, z and no regions of its own."""
+"""Converts meshes from and to trimesh, which uses x, y, z and has no regions of its own."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SIDES = ("region_a", "region_b")  # as .ply and .vtk files call them
 
 
 def to_trimesh(vertices: FloatArray, faces: IntArray, regions: IntArray) -> Any:
-    """A ``trimesh.Trimesh``, vertices in x, y, z (um), none joined or left out.
+    """Make a ``trimesh.Trimesh`` with vertices in x, y, z (um), none joined or left out.
 
     The arrays are those of a :class:`~.mesh.Mesh`: vertices (V, 3) in Z, Y, X, faces and regions.
     Its ``face_attributes`` hold the regions as ``region_a`` and ``region_b``. Faces look away from
@@ -35,12 +35,12 @@ def to_trimesh(vertices: FloatArray, faces: IntArray, regions: IntArray) -> Any:
 
 
 def from_trimesh(other: Any) -> tuple[FloatArray, Any, Any]:
-    """What makes the mesh of a ``trimesh.Trimesh`` with vertices in x, y, z (um), unrepaired.
+    """Return the arrays of a mesh from a ``trimesh.Trimesh`` with vertices in x, y, z (um).
 
-    Vertices (V, 3) in Z, Y, X, faces (F, 3) and regions (F, 2), as they stand there.
+    Vertices (V, 3) in Z, Y, X, faces (F, 3) and regions (F, 2), unrepaired.
 
-    Regions are its ``face_attributes`` ``region_a`` and ``region_b``; without them all is one
-    region, (1, 0), and None here.
+    Regions are its ``face_attributes`` ``region_a`` and ``region_b``; None if these are missing,
+    which means a single region, (1, 0).
 
     Raises
     ------
@@ -58,5 +58,5 @@ def from_trimesh(other: Any) -> tuple[FloatArray, Any, Any]:
 
 
 def outward(faces: IntArray, regions: IntArray) -> IntArray:
-    """Faces wound from the larger region number to the smaller, thus to the outside."""
+    """Wind faces from the larger region number to the smaller, thus towards the outside."""
     return np.where((regions[:, 0] < regions[:, 1])[:, None], faces[:, ::-1], faces)

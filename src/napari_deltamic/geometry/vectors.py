@@ -8,13 +8,13 @@ from .mesh import FloatArray
 
 
 def lengths(vectors: FloatArray) -> FloatArray:
-    """(N,) lengths of vectors (N, 3)."""
+    """Return lengths (N,) of vectors (N, 3)."""
     z, y, x = vectors.T
     found: FloatArray = np.sqrt(z * z + y * y + x * x)
     return found
 
 
 def crossed(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(3, N) cross products of vectors (3, N)."""
+    """Return cross products (3, N) of vectors (3, N)."""
     (a, b, c), (d, e, f) = one, other
     return np.stack([b * f - c * e, c * d - a * f, a * e - b * d])

@@ -8,11 +8,11 @@ from .mesh import FloatArray, Mesh
 
 
 def vertex_curvature(mesh: Mesh) -> FloatArray:
-    """(V,) 1/um: magnitude of the mean curvature, averaged over a vertex and its neighbours.
+    """Return (V,) magnitude of the mean curvature, 1/um, averaged over a vertex and its neighbours.
 
-    A quarter of length times turn of the edges around a vertex, over a third of the areas of its
-    faces (J. Steiner, 1840). Edges on junctions and borders turn for other reasons, and are left
-    out. Noise moves neighbouring vertices to either side, so most of it cancels.
+    It is a quarter of the sum of length times turn of the edges around a vertex, over a third of
+    the areas of its faces (J. Steiner, 1840). Edges on junctions and borders turn for other reasons
+    and are left out. Noise moves neighbouring vertices to either side, so most of it cancels.
     """
     edges, sides = mesh.edges(), mesh.face_edges().reshape(-1)
     order = np.argsort(sides, kind="stable")
@@ -23,7 +23,7 @@ def vertex_curvature(mesh: Mesh) -> FloatArray:
     length, n = mesh.edge_lengths()[smooth], len(mesh.vertices)
 
     def around(values: FloatArray) -> FloatArray:
-        """Sums over a vertex and its neighbours."""
+        """Sum values over each vertex and its neighbours."""
         return values + np.bincount(edges.reshape(-1), values[edges[:, ::-1]].reshape(-1), n)
 
     turned = np.repeat(length * _turn(mesh, one, other) / 4, 2)
@@ -34,9 +34,9 @@ def vertex_curvature(mesh: Mesh) -> FloatArray:
 
 
 def _turn(mesh: Mesh, one: np.ndarray, other: np.ndarray) -> FloatArray:
-    """Radians by which the normal turns from one face to the other; negative in hollows.
+    """Return the angle (rad) by which the normal turns between two faces; negative in hollows.
 
-    Of walls, whose faces may be turned round, the side does not matter.
+    Faces of a wall may be wound either way, so the side does not matter.
     """
     normals, middles = mesh.normals(), mesh.vertices_numpy()[mesh.faces].mean(1)
     alike = np.where((mesh.regions[one] == mesh.regions[other]).all(1), 1.0, -1.0)

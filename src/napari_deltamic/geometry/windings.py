@@ -78,9 +78,9 @@ def fix_windings(mesh: Mesh) -> tuple[Mesh, list[str]]:
 
 
 def right_side_out(mesh: Mesh) -> Mesh:
-    """The mesh, turned where a closed region is inside out; what was done is a RepairWarning.
+    """Turn closed regions that are inside out; a RepairWarning says what was done.
 
-    The same object if nothing had to be turned. Faces keep their order.
+    Returns the same object if nothing had to be turned. Faces keep their order.
     """
     negative = [region for region, volume in mesh.volumes().items() if volume < 0]
     if not any(mesh.is_closed(region) for region in negative):
@@ -116,10 +116,10 @@ def _as_most(sign: IntArray, piece: IntArray) -> IntArray:
 
 
 def _meetings(mesh: Mesh, among: BoolArray | None = None) -> tuple[Links, list[Meeting]]:
-    """Where faces of one region meet in an edge, of all faces or of those named.
+    """Find where faces of one region meet in an edge, among all faces or some.
 
-    Returns links for the edges where two meet, and (faces, directions, edge) where an even number
-    above two does. A direction is +1 or -1: which way the face runs through the edge, seen from
+    Returns links for the edges where two meet, and (faces, directions, edge) where a larger even
+    number does. A direction is +1 or -1: which way the face runs through the edge, seen from
     outside the region.
     """
     n_faces, n_edges = mesh.faces.shape[0], len(mesh.edges())
@@ -149,7 +149,7 @@ def _meetings(mesh: Mesh, among: BoolArray | None = None) -> tuple[Links, list[M
 
 
 def _joints(mesh: Mesh, piece: IntArray, among: BoolArray) -> Links:
-    """How pieces constrain each other, by a vote of the edges in which they meet."""
+    """Return how pieces constrain each other, by a vote of the edges in which they meet."""
     links, meetings = _meetings(mesh, among)
     first, second, agree = [links[0]], [links[1]], [links[2]]
     for faces, direction, edge in meetings:
@@ -173,7 +173,7 @@ def _joints(mesh: Mesh, piece: IntArray, among: BoolArray) -> Links:
 
 
 def _angles(mesh: Mesh, faces: IntArray, edge: IntArray) -> FloatArray:
-    """Angle of each face around an edge that it has, from the first face."""
+    """Return the angle of each face around an edge that they share, from the first face on."""
     vertices = mesh.vertices_numpy()
     corners = mesh.faces[faces]
     apex = corners[~np.isin(corners, edge)]
@@ -188,7 +188,7 @@ def _angles(mesh: Mesh, faces: IntArray, edge: IntArray) -> FloatArray:
 def _propagate(
     n_nodes: int, first: IntArray, second: IntArray, agree: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """A sign per node that obeys the links of a spanning tree, and the number of its group."""
+    """Return a sign for each node that obeys the links of a spanning tree, and its group."""
     root = n_nodes  # one more node, joined to each group, so that a single search reaches all
     low, high = np.minimum(first, second).astype(np.int64), np.maximum(first, second)
     keys, where = np.unique(low * (n_nodes + 1) + high, return_index=True)
@@ -215,7 +215,7 @@ def _propagate(
 
 
 def _inside_out(mesh: Mesh, sign: IntArray, piece: IntArray) -> BoolArray:
-    """Which closed pieces point inward and are no cavity."""
+    """Return (P,) which closed pieces point inward without being a cavity."""
     n_pieces = int(piece.max()) + 1
     n_regions = int(mesh.regions.max()) + 1
     per_face = _volumes_about_pieces(mesh, piece) * sign
@@ -227,7 +227,7 @@ def _inside_out(mesh: Mesh, sign: IntArray, piece: IntArray) -> BoolArray:
     present = present.reshape(n_pieces, -1)
     container = np.where(present[:, OUTSIDE], OUTSIDE, -1)
     if (container < 0).any():
-        # A wall between cells only: it lies in the region that reaches furthest.
+        # A piece that bounds only cells lies in the region that reaches farthest.
         extent = np.where(present, _extents(mesh, n_regions), -1)
         container = np.where(container < 0, extent.argmax(axis=1), container)
     # What surrounds a piece has a negative volume in it. Rounding of a flat one is no volume.
@@ -240,7 +240,7 @@ def _inside_out(mesh: Mesh, sign: IntArray, piece: IntArray) -> BoolArray:
 
 
 def _volumes_about_pieces(mesh: Mesh, piece: IntArray) -> FloatArray:
-    """Volume between each face and a point of its piece: exact also far from the origin."""
+    """Return the volume between each face and a point of its piece; exact far from the origin."""
     corners = mesh.vertices_numpy()[mesh.faces]
     _, heads = np.unique(piece, return_index=True)
     corners = corners - corners[heads, :1][piece]
@@ -248,7 +248,7 @@ def _volumes_about_pieces(mesh: Mesh, piece: IntArray) -> FloatArray:
 
 
 def _extents(mesh: Mesh, n_regions: int) -> FloatArray:
-    """um: the diagonal of the box around each region; -1 where it has no face."""
+    """Return (R,) the diagonal (um) of the box around each region; -1 if it has no face."""
     corners = mesh.vertices_numpy()[mesh.faces]
     low, high = np.full((n_regions, 3), np.inf), np.full((n_regions, 3), -np.inf)
     for side in (0, 1):
@@ -259,7 +259,7 @@ def _extents(mesh: Mesh, n_regions: int) -> FloatArray:
 
 
 def _closed(mesh: Mesh, piece: IntArray) -> BoolArray:
-    """Which pieces have an even number of faces of each region at each edge."""
+    """Return (P,) which pieces have an even number of faces of each region at each edge."""
     n_pieces = int(piece.max()) + 1
     n_edges = len(mesh.edges())
     n_regions = int(mesh.regions.max()) + 1

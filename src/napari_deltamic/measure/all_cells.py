@@ -1,4 +1,4 @@
-"""The table of cells: everything that is measured on each."""
+"""The table of cells: everything that is measured on each cell."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ _CUT = "the border of the image cuts it"
 
 
 def cells_table(sides: Sides, known: Known, pressures: Mapping[int, Estimate]) -> Table:
-    """One row for each cell, by region number."""
+    """Return a table with one row for each cell, ordered by region number."""
     cut = None if known.grid is None else cut_cells(sides.mesh, known.grid)
     parts = (
         measure_cells(sides.mesh),

@@ -68,7 +68,7 @@ JUNCTION_COLUMNS = (
 def walls_table(
     mesh: Mesh, known: Known, curvature: WallCurvature, tensions: Mapping[Pair, Estimate]
 ) -> Table:
-    """One row for each wall, by its two regions."""
+    """Return a table with one row for each wall, ordered by its two regions."""
     pairs, wall = mesh.interfaces()
     areas, n = mesh.areas(), len(pairs)
     total = np.bincount(wall, areas, n)
@@ -111,7 +111,7 @@ def walls_table(
 
 
 def junctions_table(mesh: Mesh, known: Known, junctions: Sequence[Junction]) -> Table:
-    """One row for every three regions that meet along edges, by their numbers."""
+    """Return a table with one row for every three regions that meet along edges."""
     measured = {junction.regions: junction for junction in junctions}
     rows: list[dict[str, Value]] = []
     for regions, length in junction_lengths(mesh).items():
@@ -132,7 +132,7 @@ def junctions_table(mesh: Mesh, known: Known, junctions: Sequence[Junction]) -> 
 
 
 def _rims(mesh: Mesh) -> dict[Pair, float]:
-    """um: the length of the junctions along each wall."""
+    """Return the length (um) of the junctions along each wall."""
     found: dict[Pair, float] = {}
     for regions, length in junction_lengths(mesh).items():
         for pair in walls_around(regions):
@@ -141,7 +141,7 @@ def _rims(mesh: Mesh) -> dict[Pair, float]:
 
 
 def _densities(mesh: Mesh, known: Known) -> np.ndarray | None:
-    """(W,) relative to the mean over all membranes; NaN for walls without area."""
+    """Return (W,) densities relative to the mean of all membranes; NaN for walls without area."""
     if known.density is None:
         return None
     pairs, wall = mesh.interfaces()

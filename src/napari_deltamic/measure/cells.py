@@ -1,4 +1,4 @@
-"""Numbers for each cell of a mesh: sizes, place, axes, curvature."""
+"""Numbers for each cell of a mesh: sizes, place, axes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CellRow = dict[str, int | float]
 
 
 def measure_cells(mesh: Mesh) -> list[CellRow]:
-    """Measure the size and place of each region of a mesh: what is quick enough to be live.
+    """Measure the size and place of each region of a mesh; quick enough for a live display.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def measure_cells(mesh: Mesh) -> list[CellRow]:
         centroid_z_um, centroid_y_um, centroid_x_um : centre of the volume
         n_contacts : number of other regions with which it shares a wall
 
-        What needs a volume is NaN where the region's surface is not closed or is inside out.
+        What needs a volume is NaN if the region's surface is not closed or is inside out.
     """
     sides = Sides.of(mesh)
     areas = sides.total(mesh.areas()[sides.face])
@@ -60,21 +60,21 @@ def measure_cells(mesh: Mesh) -> list[CellRow]:
 
 
 def sphericity(volume: float, area: float) -> float:
-    """Area of the sphere of the same volume over the area: 1 for a sphere, else less."""
+    """Return the area of the sphere of the same volume over the area: 1 for a sphere, else less."""
     return pi ** (1 / 3) * (6 * volume) ** (2 / 3) / area if area else nan
 
 
 def moments(sides: Sides) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Volume (C,) um^3, centroid (C, 3) um and covariance (C, 3, 3) um^2 of the inside of cells.
+    """Return volumes (C,) um^3, centroids (C, 3) um and covariances (C, 3, 3) um^2 of cells.
 
     A face and a reference point span a tetrahedron, whose moments are known: with its corners v and
-    their sum s, its volume V times ``(v v' + s s') / 20`` is the second one (about the reference).
-    All NaN where a cell's surface is not closed or is inside out.
+    their sum s, its second moment about the reference is its volume V times ``(v v' + s s') / 20``.
+    All are NaN if a cell's surface is not closed or is inside out.
     """
     mesh = sides.mesh
     corners = mesh.vertices_numpy()[mesh.faces][sides.face]
     count = np.maximum(sides.total(np.ones(len(sides.face))), 1)[:, None]
-    # From the cell's own middle: no digits are lost far from the origin.
+    # Relative to the cell's own middle, so that no digits are lost far from the origin.
     middle = sides.total(corners.mean(1)) / count
     corners = corners - middle[sides.cell, None]
     cross = np.cross(corners[:, 1], corners[:, 2])
@@ -91,11 +91,11 @@ def moments(sides: Sides) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def principal_axes(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Half axes (C, 3), um, falling, and directions (C, 3, 3) of the ellipsoid like each cell.
+    """Return half axes (C, 3) um, descending, and directions (C, 3, 3) of each cell's ellipsoid.
 
-    It has the cell's second moments: those of a solid ellipsoid are a fifth of its half axes
-    squared. Row k is the direction of axis k, Z Y X, its largest component positive. NaN where the
-    covariance is.
+    The ellipsoid has the cell's second moments: those of a solid ellipsoid are a fifth of its half
+    axes squared. Row k is the direction of axis k, Z Y X, its largest component positive. NaN where
+    the covariance is NaN.
     """
     known = np.isfinite(covariance).all((1, 2))
     axes = np.full((len(covariance), 3), nan)

@@ -1,6 +1,6 @@
 """How much of another channel lies on each wall and in each cell, seen through the PSF.
 
-The geometry is held. With light of density 1 on one wall or in one cell, and none elsewhere, the
+The geometry is fixed. With light of density 1 on one wall or in one cell, and none elsewhere, the
 microscope would show one image: a column. The channel is a sum of columns and a background; the
 densities are found by weighted linear least squares, so that light which the PSF spreads from one
 wall over the next is put back. Where the channel lies beside the membranes' image, and how wide its
@@ -26,25 +26,25 @@ from ..optics import GaussianPSF, Optics
 from ..scene import Grid, Scene, Solid, Surface, render_scene
 from .part_images import part_images
 
-# Of a width of the PSF: differences for derivatives, large enough for images of that accuracy.
+# Share of the PSF's width: steps of numerical derivatives, large enough for the images' accuracy.
 _NUDGE = 0.1
-# Of the mean diagonal: what nothing determines gets an enormous error, else it would have none.
+# Shares of the mean diagonal: what nothing determines gets an enormous error, which it would lack
+# otherwise.
 _RIDGE_OF_POSE, _RIDGE_OF_DENSITIES = 1e-9, 1e-10
 
 
 @dataclass(frozen=True)
 class ChannelSettings:
-    """How amounts are found.
+    """How the amounts of a channel are found.
 
-    walls, insides : what shines; of a channel that stains membranes only, insides would only add
-        errors.
+    walls, insides : what shines; if a channel stains only membranes, insides would only add errors.
     register : whether shift and PSF width of the channel are fitted.
     accuracy : relative, of the image of each part; a choice: below the noise of any channel.
-    most_shift : um; a channel further away is not looked for, since chromatic shifts are below 1.
-    most_steps : Gauss-Newton steps of shift and width; they end earlier where nothing changes, so
-        that only a search that goes astray takes as many.
-    settled : of the PSF's width: a smaller change of shift ends the steps.
-    most_parts : more walls and cells are not solved for: the matrix of errors is dense.
+    most_shift : um; larger shifts are not tried, since chromatic shifts are below 1.
+    most_steps : Gauss-Newton steps of shift and width, at most; they end earlier once nothing
+        changes, so that only a search that goes astray takes as many.
+    settled : share of the PSF's width: a smaller change of shift ends the steps.
+    most_parts : most walls and cells to solve for, since the matrix of errors is dense.
     """
 
     walls: bool = True
@@ -63,14 +63,14 @@ class ChannelSettings:
 
 @dataclass(frozen=True, eq=False)
 class ChannelAmounts:
-    """What was found.
+    """The amounts of a channel and how they were found.
 
-    walls, walls_se : (W,) per um^2, in the order of ``mesh.interfaces()``; NaN where nothing of a
-        wall is seen.
-    insides, insides_se : (C,) per um^3, in the order of ``mesh.region_ids()``.
+    walls, walls_se : (W,) densities per um^2 and their standard errors, in the order of
+        ``mesh.interfaces()``; NaN if nothing of a wall is seen.
+    insides, insides_se : (C,) the same per um^3, in the order of ``mesh.region_ids()``.
     background : of the channel, in its unit.
-    shift : (3,) um by which the channel's image lies beside that of the mesh.
-    sigma : (3,) um; its PSF.
+    shift : (3,) um by which the channel's image is shifted against that of the mesh.
+    sigma : (3,) um; widths of its PSF.
     explained : share of the channel's variance that the sum of all columns explains.
     """
 
@@ -91,22 +91,22 @@ def channel_amounts(
     optics: Optics,
     settings: ChannelSettings | None = None,
 ) -> ChannelAmounts:
-    """Densities of a channel on walls and inside cells, with standard errors.
+    """Find the densities of a channel on walls and inside cells, with standard errors.
 
     Parameters
     ----------
     image
         (Z, Y, X) of the channel, on the voxels of the grid; NaN where missing.
     mesh
-        um; held.
+        um; fixed.
     optics
-        The channel's PSF, to start with; a Gaussian one is fitted, others are held.
+        The channel's PSF to start with; a Gaussian one is fitted, others are fixed.
 
     Raises
     ------
     InputError
-        For an image of another shape, or that is flat; for too many parts; or if the channel shows
-        nothing of this mesh.
+        If the image has another shape or is constant, there are too many parts, or the channel
+        shows nothing of this mesh.
     """
     settings = settings or ChannelSettings()
     pixels, known = check_image(image, grid)
@@ -130,28 +130,28 @@ def channel_amounts(
 
 @dataclass(frozen=True, eq=False)
 class _Pose:
-    """Where the channel lies, um, and its PSF."""
+    """The shift of the channel, um, and its PSF."""
 
     shift: FloatArray
     optics: Optics
 
     @property
     def free(self) -> int:
-        """How many numbers are fitted: the shift, and the widths of a Gaussian, z and in plane."""
+        """How many numbers are fitted: the shift, and a Gaussian's widths, axial and in plane."""
         return 5 if isinstance(self.optics, GaussianPSF) and self.optics.diagonal else 3
 
     def moved(self, by: FloatArray) -> _Pose:
-        """Another pose: a shift in um, and changes of the logarithms of the widths."""
+        """Return the pose moved by a shift (um) and changes of the logarithms of the widths."""
         if self.free == 3:
             return _Pose(self.shift + by[:3], self.optics)
         z, y, x = self.optics.sigma_um
-        # Half of a width at most: a step from far away must not go through zero.
+        # Factors of at most exp(0.5): a step from far away must not go astray.
         axial, lateral = np.exp(np.clip(by[3:], -0.5, 0.5))
         return _Pose(self.shift + by[:3], GaussianPSF((z * axial, y * lateral, x * lateral)))
 
 
 class _Channel:
-    """The least squares of one channel."""
+    """The least-squares problem of one channel."""
 
     def __init__(
         self,
@@ -166,11 +166,11 @@ class _Channel:
         self.known = known.reshape(-1)
         self.measured = pixels.reshape(-1)[self.known]
         self.variance = voxel_variance(image, pixels, known)
-        # Until a model is there: even weights.
+        # Equal weights until there is a model.
         self.weights = np.ones(len(self.measured))
 
     def columns(self, pose: _Pose) -> sp.csr_matrix:
-        """(N, K + 1) of the known voxels; the last one is the background."""
+        """Return (N, K + 1) columns on the known voxels; the last one is the background."""
         found = part_images(
             self.mesh.translated(pose.shift),
             self.grid,
@@ -183,7 +183,7 @@ class _Channel:
         return sp.hstack([seen, sp.csr_matrix(np.ones((seen.shape[0], 1)))]).tocsr()
 
     def step(self, pose: _Pose) -> FloatArray:
-        """The Gauss-Newton step of shift and widths, densities following."""
+        """Return the Gauss-Newton step of shift and widths; densities adapt to each change."""
         columns = self.columns(pose)
         if not columns[:, :-1].nnz:
             raise InputError("nothing of the mesh lies in the image of the channel")
@@ -192,7 +192,7 @@ class _Channel:
         self._weigh(model)
         derivatives = self._derivatives(pose, densities)
         root = np.sqrt(self.weights)
-        # What densities can do of each derivative is theirs.
+        # The part of each derivative that densities can explain is left to them.
         left = np.column_stack([derivatives, self.measured])
         left -= columns @ self.solved(columns, left)[0]
         left *= root[:, None]
@@ -205,13 +205,13 @@ class _Channel:
         return found
 
     def amounts(self, pose: _Pose) -> ChannelAmounts:
-        """Densities and errors at a pose."""
+        """Return densities and their errors at a pose."""
         columns = self.columns(pose)
         densities, _ = self.solved(columns)
         self._weigh(columns @ densities)
         densities, variances = self.solved(columns)
         left = self.measured - columns @ densities
-        # What is left beyond noise is an error, too.
+        # Residuals beyond the noise add to the errors.
         chi = float((self.weights * left**2).mean())
         errors = np.sqrt(max(1.0, chi) * variances)
         densities = np.where(np.isfinite(variances), densities, nan)
@@ -232,7 +232,7 @@ class _Channel:
     def solved(
         self, columns: sp.csr_matrix, values: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Densities (K + 1, ...) for values (N, ...), and their variances; 0 and NaN if unseen."""
+        """Return densities (K + 1, ...) for values (N, ...) and variances; 0 and NaN if unseen."""
         values = self.measured if values is None else values
         table = values.reshape(len(values), -1)
         weighted = columns.multiply(self.weights[:, None]).tocsr()
@@ -249,14 +249,14 @@ class _Channel:
         return found.reshape(-1, *values.shape[1:]), variance
 
     def _weigh(self, model: FloatArray) -> None:
-        """One over the variance that voxels as bright as the model have."""
+        """Set weights to one over the variance of voxels as bright as the model."""
         whole = np.zeros(self.known.shape)
         whole[self.known] = model
         variance = np.asarray(self.variance(whole.reshape(self.grid.shape))).reshape(-1)
         self.weights = 1 / np.maximum(variance[self.known], 1e-12 * float(variance.max()))
 
     def _derivatives(self, pose: _Pose, densities: FloatArray) -> FloatArray:
-        """(N, 3 or 5) change of the model by shift (um) and by the logarithms of the widths."""
+        """Return (N, 3 or 5) derivatives of the model by shift (um) and logarithms of widths."""
         sizes = [*(_NUDGE * s for s in pose.optics.sigma_um), _NUDGE, _NUDGE][: pose.free]
         found = []
         for k, size in enumerate(sizes):
@@ -267,7 +267,7 @@ class _Channel:
         return np.column_stack(found)
 
     def _model(self, pose: _Pose, densities: FloatArray) -> FloatArray:
-        """(N,) the sum of all columns, rendered in one go; without the background."""
+        """Return (N,) the sum of all columns, rendered at once; without the background."""
         mesh = self.mesh.translated(pose.shift)
         pairs, wall = mesh.interfaces()
         structures: list[Surface | Solid] = []

@@ -40,7 +40,7 @@ _UNSEEN = "nothing of it is seen in the image"
 
 
 def channel_tables(mesh: Mesh, found: ChannelAmounts) -> tuple[Table, Table]:
-    """One table of walls, one of cells; empty cells for what the channel was said not to show."""
+    """Return a table of walls and one of cells; empty for what the channel was said not to show."""
     pairs, wall = mesh.interfaces()
     areas = np.bincount(wall, mesh.areas(), len(pairs))
     of_walls: list[dict[str, Value]] = []
@@ -70,7 +70,7 @@ def channel_tables(mesh: Mesh, found: ChannelAmounts) -> tuple[Table, Table]:
 def _light(
     density: np.ndarray, error: np.ndarray, k: int, size: float, unit: str
 ) -> dict[str, Value]:
-    """Density and amount of a part; a note where there is none, though it was asked for."""
+    """Return density and amount of a part, or a note if it was asked for but nothing is seen."""
     if not len(density):
         return {"light": None}
     if not np.isfinite(density[k]):

@@ -2,11 +2,11 @@
 
 Both are sums that hold on any mesh, not values at points, which scatter with the triangles:
 
-* Of a whole cell, mean curvature sits in the edges: ``1/2 sum of length * turn``, with the angle by
-  which the outward normal turns across the edge (J. Steiner, 1840; exact for a polyhedron, so
+* For a whole cell, mean curvature sits in the edges: ``1/2 sum of length * turn``, with the angle
+  by which the outward normal turns across the edge (J. Steiner, 1840; exact for a polyhedron, so
   ridges along junctions count). Gaussian curvature sits in the vertices: ``2 pi - sum of angles``;
   over a closed surface it adds up to ``2 pi`` times the Euler characteristic (Gauss-Bonnet).
-* Of a wall, the mean curvature is the change of area as its vertices move along the normal:
+* For a wall, the mean curvature is the change of area as its vertices move along the normal:
   ``1/2 sum of K . n`` with ``K = 1/2 sum over edges of (cot a + cot b) (x_i - x_j)`` (M. Meyer et
   al., "Discrete differential-geometry operators for triangulated 2-manifolds", 2003), over the
   vertices inside the wall, whose surroundings are whole.
@@ -26,11 +26,11 @@ from .sides import Sides
 
 @dataclass(frozen=True, eq=False)
 class CellCurvature:
-    """Of each cell (C,).
+    """Curvature of each cell, (C,).
 
     mean : um; integral of the mean curvature over the surface, ridges included.
     gaussian : integral of the Gaussian curvature.
-    parts : of how many surfaces it is made that do not touch.
+    parts : number of separate surfaces that the cell has.
 
     NaN where the surface is not closed, or where more than two of its faces meet at an edge.
     """
@@ -42,12 +42,12 @@ class CellCurvature:
 
 @dataclass(frozen=True, eq=False)
 class WallCurvature:
-    """Of each wall (W,), in the order of ``mesh.interfaces()``.
+    """Curvature of each wall, (W,), in the order of ``mesh.interfaces()``.
 
     mean : 1/um; the average inside the wall, positive where it bulges out of the pair's first
         region.
     gaussian : 1/um^2; the average inside the wall.
-    inside : how many vertices are inside it; NaN above where there is none.
+    inside : number of vertices inside the wall; if 0, the others are NaN.
     """
 
     mean: FloatArray
@@ -56,7 +56,7 @@ class WallCurvature:
 
 
 def cell_curvature(sides: Sides) -> CellCurvature:
-    """Integrals over the whole surface of each cell."""
+    """Integrate the curvature over the whole surface of each cell."""
     mesh = sides.mesh
     n = len(sides.cells)
     cell, _, count = sides.edges
@@ -74,7 +74,7 @@ def cell_curvature(sides: Sides) -> CellCurvature:
 
 
 def wall_curvature(mesh: Mesh) -> WallCurvature:
-    """Averages over the inside of each wall."""
+    """Average the curvature over the inside of each wall."""
     pairs, wall = mesh.interfaces()
     n, size = len(pairs), len(mesh.vertices)
     corner_wall, vertices = np.repeat(wall, 3), mesh.faces.reshape(-1)
@@ -82,7 +82,7 @@ def wall_curvature(mesh: Mesh) -> WallCurvature:
     inside = ~np.isin(keys, _rim(mesh, wall))
 
     def at(values: FloatArray) -> FloatArray:
-        """Sums over the faces of a wall around each of its vertices, of corners (F, 3)."""
+        """Sum values of corners (F, 3) over the faces of a wall around each of its vertices."""
         return np.bincount(index, values.reshape(-1), len(keys)).astype(np.float64)
 
     areas = mesh.areas()
@@ -104,7 +104,7 @@ def wall_curvature(mesh: Mesh) -> WallCurvature:
 
 
 def corner_angles(mesh: Mesh) -> FloatArray:
-    """(F, 3) radians: the angle of each face at each of its corners."""
+    """Return (F, 3) the angle of each face at each of its corners, radians."""
     corners = mesh.vertices_numpy()[mesh.faces]
     one = np.roll(corners, -1, axis=1) - corners
     other = np.roll(corners, 1, axis=1) - corners
@@ -114,14 +114,14 @@ def corner_angles(mesh: Mesh) -> FloatArray:
 
 
 def _turning(sides: Sides) -> FloatArray:
-    """(C,) um: half the sum over edges of length times the turn of the outward normal."""
+    """Return (C,) half the sum over edges of length times turn of the outward normal, um."""
     turn, length = _hinges(sides)
     cell = sides.hinges[0]
     return np.bincount(cell, length * turn / 2, len(sides.cells)).astype(np.float64)
 
 
 def _hinges(sides: Sides) -> tuple[FloatArray, FloatArray]:
-    """Turn of the outward normal across each hinge, radians, and its length, um."""
+    """Return the turn of the outward normal across each hinge, radians, and its length, um."""
     mesh = sides.mesh
     v = mesh.vertices_numpy()
     _, edge, one, other = sides.hinges
@@ -131,8 +131,8 @@ def _hinges(sides: Sides) -> tuple[FloatArray, FloatArray]:
     middle = v[ends].mean(1)
     beyond = v[mesh.faces[sides.face[other]]].mean(1) - middle
     back = v[mesh.faces[sides.face[one]]].mean(1) - middle
-    # A ridge where each face lies below the plane of the other; where they fold onto each other
-    # neither is clear, and the two tell together.
+    # A ridge if each face lies below the plane of the other; where they fold onto each other,
+    # neither is clear alone, so the two are added.
     bulges = np.einsum("hi,hi->h", first, beyond) + np.einsum("hi,hi->h", second, back)
     sine = np.linalg.norm(np.cross(first, second), axis=1)
     turn = np.arctan2(sine, np.einsum("hi,hi->h", first, second))
@@ -141,7 +141,7 @@ def _hinges(sides: Sides) -> tuple[FloatArray, FloatArray]:
 
 
 def _area_gradient(mesh: Mesh, normals: FloatArray, out: FloatArray) -> FloatArray:
-    """(F, 3, 3) um: the change of each face's area by each of its corners."""
+    """Return (F, 3, 3) the derivative of each face's area by each of its corners, um."""
     corners = mesh.vertices_numpy()[mesh.faces]
     opposite = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
     # At right angles to the opposite edge, towards the corner, half as long; Z, Y, X components
@@ -151,7 +151,7 @@ def _area_gradient(mesh: Mesh, normals: FloatArray, out: FloatArray) -> FloatArr
 
 
 def _rim(mesh: Mesh, wall: IntArray) -> IntArray:
-    """Keys (wall * vertices + vertex) of the vertices on the rim of their wall."""
+    """Return keys (wall * vertices + vertex) of the vertices on the rim of their wall."""
     edges = mesh.edges()
     keys, count = np.unique(
         (wall[:, None] * len(edges) + mesh.face_edges()).reshape(-1), return_counts=True

@@ -11,29 +11,30 @@ from ..errors import InputError
 from ..geometry.contacts import junction_edges
 from ..geometry.mesh import FloatArray, IntArray, Mesh
 
-_FLAT = 1e-14  # of the largest moment of points: none
+_FLAT = 1e-14  # share of the largest moment of points that is only rounding
 # Inverse of the quadratic form B^2 + C^2 - 4 A D.
 _PRATT = np.array([[0, 0, 0, -0.5], [0, 1, 0, 0], [0, 0, 1, 0], [-0.5, 0, 0, 0]])
 
 
 @dataclass(frozen=True)
 class JunctionRules:
-    """From what an angle is read; lengths are median edges of the mesh.
+    """Where the angles at a junction are measured; lengths are in median edges of the mesh.
 
-    Measured on three double bubbles with edges of 0.4 and 0.6 um, as they are and with 20 nm of
-    noise in the vertices: the largest error is 0.17 and 1.15 degrees.
+    Measured on three double bubbles with edges of 0.4 and 0.6 um, without noise and with 20 nm of
+    it in the vertices: the largest error is 0.17 and 1.15 degrees.
 
     Attributes
     ----------
     reach
-        How far into a wall its shape is looked at: with 2.5 the errors are 1.4 and 3.5 degrees,
-        with 3.5 still 0.35 and 2.4, with 10 0.27 and 0.75, where walls are as even as these.
+        How far into a wall its shape is used: with 2.5 the errors are 1.4 and 3.5 degrees, with
+        3.5 still 0.35 and 2.4, with 10 only 0.27 and 0.75, on walls as even as these.
     strip
-        To either side along the junction: half and twice change the errors by 0.4 degrees at most.
+        How far along the junction, to either side: half and twice as much change the errors by at
+        most 0.4 degrees.
     line
-        Over which the direction of a junction is averaged: half and twice change them by 0.04.
+        Length over which a junction's direction is averaged: half and twice change errors by 0.04.
     fewest
-        Points to draw an arc through: it has three numbers, so that as many are left to average.
+        Least number of points for an arc: it has three parameters, so that as many are left over.
     """
 
     reach: float = 5.0
@@ -47,7 +48,7 @@ RULES = JunctionRules()
 
 @dataclass(frozen=True)
 class Junction:
-    """Where three walls meet, between three regions.
+    """The lines along which three walls meet between the same three regions.
 
     Attributes
     ----------
@@ -65,11 +66,11 @@ class Junction:
     correlation: float
 
     def errors(self, resolution: float = 0.0) -> FloatArray:
-        """(3,) degrees: standard errors of the mean angles.
+        """Return (3,) standard errors of the mean angles, degrees.
 
-        Angles count once for each stretch over which they are independent: of the triangles that
-        they are read from, or of the image's resolution, um, whichever is longer. They really vary
-        along some junctions; the spread holds that too.
+        Angles count as one for each stretch within which they are correlated: the length of
+        ``correlation`` or of the image's resolution (um), whichever is longer. The spread includes
+        real variation of angles along a junction.
         """
         stretches = max(1.0, self.length / max(self.correlation, resolution))
         found: FloatArray = self.spread / np.sqrt(stretches)
@@ -77,7 +78,7 @@ class Junction:
 
 
 def junction_lengths(mesh: Mesh) -> dict[tuple[int, int, int], float]:
-    """um: the whole length along which three regions meet, by their numbers, increasing."""
+    """Return the whole length (um) along which three regions meet, by their increasing numbers."""
     edges, triples = junction_edges(mesh)
     if not len(edges):
         return {}
@@ -89,7 +90,7 @@ def junction_lengths(mesh: Mesh) -> dict[tuple[int, int, int], float]:
 def junction_angles(
     mesh: Mesh, reach: float | None = None, avoid: FloatArray | None = None
 ) -> list[Junction]:
-    """The angles between the walls along each junction of three regions.
+    """Measure the angles between the walls along each junction of three regions.
 
     Across every edge in which three walls meet, an arc is drawn through each wall, out to
     ``reach``, and its tangent taken at the edge. The triangles beside the edge alone would be off
@@ -99,13 +100,13 @@ def junction_angles(
     Parameters
     ----------
     mesh : closed regions that share walls, um.
-    reach : um; how far into a wall its shape is looked at. By default five edges of the mesh.
-    avoid : (N, 3) um: places to which the reach must not come, as the faces that close a cell at
+    reach : um; how far into a wall its shape is used. By default five edges of the mesh.
+    avoid : (N, 3) um: places that the reach must not include, such as faces that close a cell at
         the border of an image, which are no membranes.
 
     Returns
     -------
-    One for every three regions that meet, ordered by regions; none for regions that do not touch.
+    One junction for every three regions that meet, ordered by regions.
 
     Raises
     ------
@@ -142,12 +143,12 @@ def junction_angles(
 
 
 def angle_reach(mesh: Mesh) -> float:
-    """um: how far into a wall its shape is looked at, by default."""
+    """Return how far (um) into a wall its shape is used by default."""
     return RULES.reach * mesh.median_edge()
 
 
 def _directions(line: FloatArray, reach: float) -> FloatArray:
-    """(E, 3) the direction of a junction at each of its edges (E, 2, 3), from those around."""
+    """Return (E, 3) the direction of a junction at each of its edges (E, 2, 3), averaged nearby."""
     middles = line.mean(1)
     step = line[:, 1] - line[:, 0]
     step = step / np.linalg.norm(step, axis=1)[:, None]
@@ -159,7 +160,7 @@ def _directions(line: FloatArray, reach: float) -> FloatArray:
 
 
 class _Walls:
-    """Points on each wall, for looking up those near a point."""
+    """Points on each wall, and a search for those near a place."""
 
     def __init__(self, mesh: Mesh, reach: float, strip: float) -> None:
         self.reach, self.strip = reach, strip
@@ -176,8 +177,10 @@ class _Walls:
         self._trees = {pair: cKDTree(points) for pair, points in self._points.items()}
 
     def near(self, pair: tuple[int, int], places: FloatArray) -> tuple[FloatArray, IntArray]:
-        """(N, 3) points of the wall between two regions within reach of a place (E, 3), and which
-        place (N,) that is; those of a place together."""
+        """Find points (N, 3) of the wall between two regions within reach of places (E, 3).
+
+        Also return which place each point belongs to (N,), sorted by place.
+        """
         rows = self._trees[pair].query_ball_point(places, self.reach)
         count = [len(each) for each in rows]
         found = np.concatenate(rows).astype(np.int64)
@@ -187,9 +190,9 @@ class _Walls:
 def _openings(
     walls: _Walls, middles: FloatArray, along: FloatArray, triple: IntArray
 ) -> FloatArray:
-    """(E, 3) degrees: the angle of each region at each edge; NaN where a wall is too small.
+    """Return (E, 3) the angle of each region at each edge, degrees; NaN where a wall is too small.
 
-    middles, along : (E, 3) of the edges of a junction, and the directions of it there.
+    middles, along : (E, 3) middles of a junction's edges, and its direction there.
     """
     across = np.linalg.svd(along[:, None])[2][:, 1:]  # two directions at right angles to it
     angle = np.empty_like(middles)  # of the wall opposite each region, in the plane across
@@ -213,10 +216,10 @@ def _openings(
 
 
 def _tangents(points: FloatArray, arc: IntArray, count: int) -> FloatArray:
-    """(count, 2) directions in which circles or lines leave the origin, towards their points.
+    """Return (count, 2) directions in which arcs leave the origin, towards their points.
 
-    NaN where they are too few, or in one place. points : (N, 2); arc : (N,) which of them each
-    point is of.
+    NaN if an arc has too few points, or all in one place. points : (N, 2). arc : (N,) index of
+    the arc that each point belongs to.
 
     The circle ``A (x^2 + y^2) + B x + C y + D = 0`` of least squares with ``B^2 + C^2 - 4 A D = 1``
     (V. Pratt, "Direct least-squares fitting of algebraic surfaces", 1987), which may be a line

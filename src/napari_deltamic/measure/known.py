@@ -1,4 +1,4 @@
-"""What is known of a shape besides its mesh, and what follows for errors and borders."""
+"""What is known about a shape beside its mesh, and what follows for errors and borders."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ..geometry.replicas import Replicas
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of a shape besides its mesh; None or empty for what is not.
+    """What is known about a shape beside its mesh; None or empty for what is not known.
 
     grid : of the image that it was fitted to.
-    density : (F,) fluorophores per um^2 of each membrane, relative to their mean or not.
-    resolution : um; the PSF's standard deviation, the geometric mean of the three axes.
-    replicas : displacements as likely as the fit's own end, for errors.
-    explained : for a region, the share of what varies around it that the fit explains.
-    judgements : for a region, how good its shape is.
+    density : (F,) fluorophores per um^2 of each membrane; any common factor does not matter.
+    resolution : um; the geometric mean of the PSF's standard deviations along the three axes.
+    replicas : surfaces as likely as the fit's result, from which errors are estimated.
+    explained : by region, the share of the variation around it that the fit explains.
+    judgements : by region, how good its shape is.
     """
 
     grid: ImageGrid | None = None
@@ -34,7 +34,7 @@ class Known:
     judgements: Mapping[int, Judgement] = field(default_factory=dict)
 
     def checked(self, mesh: Mesh) -> Known:
-        """Itself; InputError if the densities are those of another mesh, or no numbers."""
+        """Return itself. InputError if the densities are those of another mesh, or not finite."""
         if self.density is not None and np.shape(self.density) != (len(mesh.faces),):
             raise InputError(
                 f"there are {np.size(self.density)} densities for {len(mesh.faces)} faces"

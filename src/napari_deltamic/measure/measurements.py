@@ -19,7 +19,7 @@ from .tensions import TensionSettings, relative_pressures, relative_tensions
 
 @dataclass(frozen=True)
 class Measurements:
-    """Three tables, of which every row is a number, a word, or empty with a note that says why."""
+    """Three tables; each entry is a number, a word, or empty with a note that says why."""
 
     cells: Table
     walls: Table
@@ -27,7 +27,7 @@ class Measurements:
 
     @property
     def tables(self) -> tuple[Table, Table, Table]:
-        """All of them."""
+        """The three tables: cells, walls, junctions."""
         return self.cells, self.walls, self.junctions
 
 
@@ -55,7 +55,7 @@ def measure(
     found = _measured(mesh, known, settings, reach)
     if known.replicas is None:
         return found
-    # Of other meshes of the same walls nothing else is known.
+    # For other meshes of the same walls nothing else is known.
     bare = Known(grid=known.grid, resolution=known.resolution)
 
     def measured(other: Mesh, part: float) -> tuple[Table, Table, Table]:
@@ -73,7 +73,7 @@ def _measured(
     junctions = junction_angles(mesh, reach, cut)
     tensions = relative_tensions(junctions, pairs, known.resolution, settings)
     walls = walls_table(mesh, known, curvature, tensions)
-    # Those of walls without area are of no use, and without meaning.
+    # Curvatures of walls without area would be meaningless.
     bends = dict(zip(pairs, curvature.mean.tolist(), strict=True))
     areas = {
         pair: area

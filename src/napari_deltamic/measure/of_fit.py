@@ -1,4 +1,4 @@
-"""What a fit knows of its shape, for the tables."""
+"""What a fit knows about its shape, for the tables of measurements."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ def known_of(
     replicas: Replicas | None = None,
     judgements: Mapping[int, Judgement] | None = None,
 ) -> Known:
-    """What a state says besides its mesh: densities, resolution, border.
+    """Collect what a state says beside its mesh: densities, resolution, border.
 
     Parameters
     ----------
     grid
-        Of the image; None leaves the border out.
+        Grid of the image; None leaves the border out.
     explained
-        For a region, the share of what varies around it that the fit explains.
+        By region, the share of the variation around it that the fit explains.
     replicas
-        As from :func:`replicas_at`.
+        From :func:`replicas_at`.
     judgements
-        For a region, how good its shape is.
+        By region, how good its shape is.
     """
     return Known(
         grid=grid,
@@ -57,12 +57,12 @@ def replicas_at(
     settings: FitSettings | None = None,
     counted: np.ndarray | None = None,
 ) -> Replicas:
-    """Displacements as likely as the fit's own end, for the errors of what is measured there.
+    """Make surfaces as likely as the fit's result, to estimate the errors of measurements on it.
 
     Raises
     ------
     InputError
-        For a fit whose errors cannot be told: one with a second view.
+        For a fit whose errors cannot be estimated: one with a second view.
     """
     try:
         posed = posed_at(image, grid, state, settings, counted)

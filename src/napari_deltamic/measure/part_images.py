@@ -18,19 +18,19 @@ _DIM = 1e-4  # of a column's brightest voxel: what is darker is less than the im
 def part_images(
     mesh: Mesh, grid: Grid, optics: Optics, walls: bool, insides: bool, accuracy: float
 ) -> sp.csc_matrix:
-    """Images of light of density 1 per um^2 of each wall, then per um^3 inside each cell.
+    """Render light of density 1 per um^2 on each wall, then 1 per um^3 inside each cell.
 
     Parameters
     ----------
     mesh
         um.
     grid, optics
-        Of the image that the light is seen in.
+        Grid and PSF of the image in which the light is seen.
     walls, insides
         Which of them have columns: walls in the order of ``mesh.interfaces()``, insides in that of
         ``mesh.region_ids()``; open cells have an empty one.
     accuracy
-        Relative, of each image.
+        Relative error of each image.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def _insides(mesh: Mesh) -> Iterator[Solid | None]:
 def _column(
     part: Surface | Solid | None, grid: Grid, optics: Optics, reach: FloatArray, accuracy: float
 ) -> tuple[np.ndarray, FloatArray]:
-    """Flat indices of the voxels in which a part is seen, rising, and how bright it is there."""
+    """Return sorted flat indices of the voxels where a part is seen, and its brightness there."""
     nothing = np.zeros(0, np.int64), np.zeros(0)
     if part is None:
         return nothing

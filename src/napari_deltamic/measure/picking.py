@@ -1,4 +1,4 @@
-"""Which cell lies at a place: in a slice, or behind a face."""
+"""Finds the cell at a place: in a slice, or behind a face."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from .section import section
 
 
 def region_in_slice(mesh: Mesh, axis: int, point: FloatArray, near: float) -> int:
-    """The region around a point (3,) um in the slice across an axis, or with a contour near it.
+    """Return the region around a point (3,) um in the slice across an axis, or with a contour near.
 
-    Where regions lie within one another, that with the nearest contour. 0 if there is none.
+    If regions lie within one another, it is the one with the nearest contour. 0 if there is none.
     """
     segments, faces = section(mesh, axis, float(point[axis]))
     if not len(segments):
@@ -31,7 +31,7 @@ def region_in_slice(mesh: Mesh, axis: int, point: FloatArray, near: float) -> in
 
 
 def region_behind(mesh: Mesh, face: int, direction: FloatArray) -> int:
-    """The region that lies behind a face, seen along a direction; in front, where none is."""
+    """Return the region behind a face, seen along a direction; the one in front if none is."""
     first, second = mesh.regions[face].tolist()
     towards = float(mesh.normals()[face] @ direction) < 0
     behind, front = (first, second) if towards else (second, first)
@@ -39,7 +39,7 @@ def region_behind(mesh: Mesh, face: int, direction: FloatArray) -> int:
 
 
 def _distances(segments: FloatArray, point: FloatArray) -> FloatArray:
-    """(S,) from a point (2,) to segments (S, 2, 2)."""
+    """Return (S,) distances from a point (2,) to segments (S, 2, 2)."""
     start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     length = np.maximum((along**2).sum(axis=1), 1e-300)
     share = np.clip(((point - start) * along).sum(axis=1) / length, 0, 1)
@@ -48,7 +48,7 @@ def _distances(segments: FloatArray, point: FloatArray) -> FloatArray:
 
 
 def _crossings(segments: NDArray[np.float64], point: FloatArray) -> int:
-    """How many segments a ray from a point along the last axis crosses; odd: it lies inside."""
+    """Count the segments that a ray from a point along the last axis crosses; odd if inside."""
     (y, x), (a, b) = point, (segments[:, 0], segments[:, 1])
     cut = (a[:, 0] > y) != (b[:, 0] > y)
     a, b = a[cut], b[cut]

@@ -54,13 +54,13 @@ def section(mesh: Mesh, axis: int, position: float) -> tuple[FloatArray, IntArra
         low, high = np.where(alone_above, [second, first], [first, second])
         ends.append(_crossing(vertices[low], vertices[high], axis, position))
     segments = np.stack(ends, axis=1)
-    # A vertex that touches the plane from above leaves a point, which is no segment.
+    # A face that touches the plane only in a vertex leaves a point, which is no segment.
     kept = (segments[:, 0] != segments[:, 1]).any(axis=1)
     return segments[kept], faces[kept].astype(np.int64)
 
 
 def _crossing(low: FloatArray, high: FloatArray, axis: int, position: float) -> FloatArray:
-    """(S, 2) where edges cross the plane; always from low to high, so that neighbours agree."""
+    """Return (S, 2) where edges cross the plane; from low to high, so that neighbours agree."""
     others = [k for k in range(3) if k != axis]
     share = (position - low[:, axis]) / (high[:, axis] - low[:, axis])
     points: FloatArray = low[:, others] + share[:, None] * (high[:, others] - low[:, others])

@@ -13,7 +13,7 @@ from ..geometry.mesh import OUTSIDE, FloatArray, IntArray, Mesh
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """Every side of a face that belongs to a cell; a wall between two cells has two.
+    """All sides of faces that belong to a cell; a wall between two cells has two.
 
     mesh : um.
     cells : (C,) region numbers, increasing.
@@ -30,7 +30,7 @@ class Sides:
 
     @staticmethod
     def of(mesh: Mesh) -> Sides:
-        """The sides of a mesh."""
+        """Collect the sides of a mesh."""
         cells = mesh.region_ids()
         owner = mesh.regions.T.reshape(-1)
         real = owner != OUTSIDE
@@ -39,7 +39,7 @@ class Sides:
         return Sides(mesh, cells, np.searchsorted(cells, owner[real]), face[real], sign[real])
 
     def total(self, values: FloatArray) -> FloatArray:
-        """(C,) or (C, ...) the sum over each cell of one value for each side, (S, ...)."""
+        """Sum values of sides, (S, ...), over each cell, (C, ...)."""
         flat = values.reshape(len(values), -1)
         sums = [np.bincount(self.cell, column, len(self.cells)) for column in flat.T]
         return np.stack(sums, 1).reshape(len(self.cells), *values.shape[1:]).astype(np.float64)
@@ -60,12 +60,12 @@ class Sides:
 
     @cached_property
     def hinges(self) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-        """Cell, edge and the two sides that meet there, where a cell's surface is like a sheet."""
+        """Cell, edge and the two sides that meet there, if exactly two sides of the cell do."""
         order = np.argsort(self._keys, kind="stable")
         keys, first, count = np.unique(self._keys[order], return_index=True, return_counts=True)
         cell, edge = np.divmod(keys[count == 2], len(self.mesh.edges()))
         first = first[count == 2]
-        # Three edges for each side.
+        # Each side has three edges.
         return cell, edge, order[first] // 3, order[first + 1] // 3
 
     @cached_property

@@ -1,8 +1,8 @@
-"""Standard errors and biases of what is measured.
+"""Standard errors and biases of measured numbers.
 
-A number measured on a fitted mesh is off by noise, and in the mean by three things that are the
-same in every image: roughness that noise leaves on the surface adds area, flat triangles are not
-the curved surface, and the prior smooths. All are seen on replicas of the fit.
+A number measured on a fitted mesh has a random error from noise, and a bias from three things that
+are the same in every image: roughness that noise leaves on the surface adds area, flat triangles
+are not the curved surface, and the prior smooths. All are estimated on replicas of the fit.
 """
 
 from __future__ import annotations
@@ -21,20 +21,19 @@ Tables = tuple[Table, ...]
 
 @dataclass(frozen=True)
 class ErrorRules:
-    """How standard errors are estimated.
+    """Numbers that decide how standard errors are estimated.
 
     share
-        Of what a number is corrected by, what the correction itself may be off by. From
-        ``benchmarks.measurements``: areas of tori, which flat triangles are off by 1.6 %, came out
-        right within 0.07 %.
+        Error of a correction as a share of it. From ``benchmarks.measurements``: areas of tori, for
+        which flat triangles are off by 1.6 %, came out right within 0.07 %.
     nearer
         Angles are read from arcs; those of this part of their reach say what the reach does to
         them, at rims that the blur has rounded above all. Measured on 16 double bubbles: angles
         were off by as much as the two readings differ (0.7 and 0.9 degrees rms at ratios up to
         1.4, 3.3 and 2.9 at 1.8).
     known
-        Share of the replicas on which a number must be measurable to have an error: the spread of
-        those on which it happens to be would be too small.
+        Share of the replicas on which a number must be measurable to get an error: the spread of
+        only those on which it happens to be would be too small.
     """
 
     share: float = 0.05
@@ -45,7 +44,7 @@ class ErrorRules:
 RULES = ErrorRules()
 
 
-# Numbers of each table that have errors: what comes before and after "_se" and "_bias" in names.
+# Numbers of each table that have errors: parts of column names before and after "_se" and "_bias".
 MEASURED: dict[str, tuple[tuple[str, str], ...]] = {
     "cells": (
         ("volume", "_um3"),
@@ -58,8 +57,8 @@ MEASURED: dict[str, tuple[tuple[str, str], ...]] = {
     "junctions": (("angle_a", "_deg"), ("angle_b", "_deg"), ("angle_c", "_deg")),
 }
 _KEYS = ("region", "region_a", "region_b", "region_c")
-# What flat triangles are off by falls with the square of their edges: those of the smooth surface
-# still have a part of it. Angles, and what follows from them, are read from arcs.
+# The error of flat triangles falls with the square of their edges, so the triangles of the smooth
+# surface still have a part of it. Angles, and what follows from them, are measured on arcs.
 _BY_EDGES = ("volume", "area", "sphericity", "mean_curvature")
 
 
@@ -68,16 +67,17 @@ def with_errors(
     replicas: Replicas,
     measured: Callable[[Mesh, float], Sequence[Table]],
 ) -> Tables:
-    """The tables with errors; their numbers are what is left when the mean errors are taken away.
+    """Add standard errors and biases to tables, and correct their numbers for the biases.
 
     Parameters
     ----------
     tables
-        Measured on the fitted mesh.
+        Tables measured on the fitted mesh.
     replicas
         Of the fit.
     measured
-        The same of any mesh of the same walls, its angles read from arcs of so much of their reach.
+        Measures the same tables on any mesh of the same walls, with angles from arcs that use the
+        given share of their reach.
     """
     told = _Told(tables)
     move = replicas.mesh.with_vertices
@@ -96,16 +96,16 @@ def with_errors(
         scatter = np.sqrt(np.nanmean(np.where(seen, odd, 0.0) ** 2, axis=0))
         rough = np.nanmean(np.where(seen, even, 0.0), axis=0)
         bias = rough + flat + (pulled - refitted)
-    # Where arcs are too short to read anything, nothing is known of what their reach does.
+    # Where arcs are too short to measure anything, the effect of their reach is not known.
     rounded = np.nan_to_num(told.numbers(measured(replicas.mesh, RULES.nearer)) - now)
-    # What more patience would change is no mean error: of a fit that was stopped it is a guess.
+    # What more iterations would change is no bias: for a fit that was stopped it is only a guess.
     known = scatter**2 + (RULES.share * bias) ** 2
     error = np.sqrt(known + (settled - now) ** 2 + rounded**2)
     return told.filled(tables, np.where(seen, bias, np.nan), np.where(seen, error, np.nan))
 
 
 def error_columns(table: str) -> tuple[Column, ...]:
-    """Those that a table of this name has for errors."""
+    """Return the columns of standard errors and biases that a table of this name has."""
     found = []
     for name, unit in MEASURED[table]:
         words = name.replace("_", " ")
@@ -118,7 +118,7 @@ def error_columns(table: str) -> tuple[Column, ...]:
 
 
 class _Told:
-    """All numbers that have errors, as one row."""
+    """All numbers of some tables that have errors, as one array."""
 
     def __init__(self, tables: Sequence[Table]) -> None:
         self._at: dict[tuple[str, tuple[Value, ...], str, str], int] = {}
@@ -129,7 +129,7 @@ class _Told:
         self.by_edges = np.array([name in _BY_EDGES for _, _, name, _ in self._at], bool)
 
     def numbers(self, tables: Sequence[Table]) -> FloatArray:
-        """(N,); NaN where there is none."""
+        """Return the numbers of tables, (N,); NaN for empty entries."""
         found = np.full(len(self._at), np.nan)
         for table in tables:
             for row in table.rows:
@@ -141,7 +141,7 @@ class _Told:
         return found
 
     def filled(self, tables: Sequence[Table], bias: FloatArray, error: FloatArray) -> Tables:
-        """Corrected, with both columns; a number whose error cannot be told stays as it is."""
+        """Return tables corrected and with both columns; numbers without a known error stay."""
         found = []
         for table in tables:
             rows = []

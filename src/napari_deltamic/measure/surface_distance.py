@@ -1,4 +1,4 @@
-"""How far two surfaces are apart."""
+"""Distances between two surfaces."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SurfaceDistance:
 
 
 def surface_distance(mesh_a: Mesh, mesh_b: Mesh, samples: int = 20_000) -> SurfaceDistance:
-    """Distances between the surfaces of two meshes, both ways.
+    """Measure the distances between the surfaces of two meshes, both ways.
 
     Points are drawn evenly over the area of each surface, the same ones each time; the distance of
     each to the other surface is to its triangles, not to points on it (``distance_to_surface``).
@@ -61,7 +61,7 @@ def surface_distance(mesh_a: Mesh, mesh_b: Mesh, samples: int = 20_000) -> Surfa
 
 
 def distance_to_surface(points: FloatArray, mesh: Mesh) -> FloatArray:
-    """Distance of each point to the nearest triangle, (N,) um, for points (N, 3) um Z, Y, X.
+    """Return the distance of points (N, 3) um Z, Y, X to the nearest triangle, (N,) um.
 
     Exact, but for points almost equally far from hundreds of places (the centre of a sphere),
     where the search may stop once the answer is certain to 0.1 %.
@@ -107,7 +107,7 @@ def _random_points(mesh: Mesh, n: int, rng: np.random.Generator) -> FloatArray:
 
 
 def _sites(mesh: Mesh) -> tuple[FloatArray, float, IntArray]:
-    """Points for the search: sites (P, 3), their largest radius, a triangle of each (P,).
+    """Return points for the search: sites (P, 3), their largest radius, a triangle of each (P,).
 
     Every vertex, the middle of every part of an edge, the middle of every part of a face; parts
     are about equally large, since the largest radius of a part bounds the search.
@@ -157,12 +157,12 @@ def _parts(triangles: FloatArray, limit: float) -> tuple[FloatArray, float, IntA
 
 
 def _edges(triangles: FloatArray) -> FloatArray:
-    """Edge lengths, (T, 3), each opposite its corner."""
+    """Return edge lengths, (T, 3), each opposite its corner."""
     return np.linalg.norm(np.roll(triangles, -1, axis=1) - np.roll(triangles, -2, axis=1), axis=2)
 
 
 def _point_triangle(points: FloatArray, triangles: FloatArray) -> FloatArray:
-    """Distance of point n to triangle n; triangles (N, 3, 3) may be degenerate."""
+    """Return the distance of point n to triangle n; triangles (N, 3, 3) may be degenerate."""
     arms = points[:, None] - triangles
     edges = np.roll(triangles, -1, axis=1) - triangles
     # To the three edges, as segments.

@@ -1,9 +1,9 @@
 """Relative tensions of walls and pressures of cells, from angles and curvatures.
 
-At rest the tensions pull evenly at every junction (Young and Dupre): with the unit vectors t along
-its walls, away from it, ``sum of gamma t = 0``. Across a wall the pressures differ by what its
-bending asks for (Laplace): ``p_a - p_b = 2 gamma H``. Angles and curvatures do not change when all
-tensions do by one factor, so that tensions are told relative to their mean over a cluster, and
+At rest the tensions balance at every junction (Young and Dupre): with the unit vectors t along its
+walls, away from it, ``sum of gamma t = 0``. Across a wall the pressures differ by what its
+curvature requires (Laplace): ``p_a - p_b = 2 gamma H``. Angles and curvatures stay the same when
+all tensions change by one factor, so tensions are given relative to their mean over a cluster, and
 pressures, per um, in units of that mean (see M. Ishihara and K. Sugimura, "Bayesian inference of
 force dynamics during morphogenesis", J. Theor. Biol. 313, 2012, for the two equations as one linear
 system in the plane).
@@ -28,13 +28,13 @@ Pair = tuple[int, int]  # of regions, the larger number first
 
 @dataclass(frozen=True)
 class TensionSettings:
-    """What decides which tensions are told, and how much each junction counts.
+    """Numbers that decide which tensions are given, and how much each junction counts.
 
-    angle_error : degrees; what angles are off by without any noise, so that no junction counts as
-        exact. From `python -m benchmarks.measurements`: 0.35 on analytic double bubbles.
-    largest_error : of the mean tension; one that is less sure is left out, with the reason. A
-        choice: then it is hardly known which of two walls pulls more.
-    most_walls : more are not solved for: the matrix of errors is dense.
+    angle_error : degrees; error of angles without any noise, so that no junction counts as exact.
+        From `python -m benchmarks.measurements`: 0.35 on analytic double bubbles.
+    largest_error : of the mean tension; a tension that is less certain is left out, with the
+        reason. A choice: beyond it, it is hardly known which of two walls pulls more.
+    most_walls : most walls to solve for, since the matrix of errors is dense.
     """
 
     angle_error: float = 0.35
@@ -64,19 +64,19 @@ def relative_tensions(
     resolution: float = 0.0,
     settings: TensionSettings | None = None,
 ) -> dict[Pair, Estimate]:
-    """Tensions by least squares over all junctions of three walls.
+    """Find tensions by least squares over all junctions of three walls.
 
-    Each junction asks for two equations, weighted by the standard errors of its angles. Errors
-    follow from these weights, and are larger by as much as the equations contradict each other.
+    Each junction gives two equations, weighted by the standard errors of its angles. Errors follow
+    from these weights, and grow with the contradictions between the equations.
 
     Parameters
     ----------
     junctions
-        With their angles.
+        The junctions, with their angles.
     walls
         Those to tell something about.
     resolution
-        um; of the image, see :meth:`Junction.errors`.
+        Of the image, um; see :meth:`Junction.errors`.
 
     Returns
     -------
@@ -104,20 +104,20 @@ def relative_pressures(
     areas: Mapping[Pair, float],
     regions: Sequence[int],
 ) -> dict[int, Estimate]:
-    """Pressures by least squares over the walls whose tension and mean curvature are known.
+    """Find pressures by least squares over the walls whose tension and mean curvature are known.
 
-    Standard errors hold those of the tensions, and by how much the walls contradict each other.
+    Standard errors include those of the tensions and the contradictions between walls.
 
     Parameters
     ----------
     tensions
-        As from :func:`relative_tensions`.
+        From :func:`relative_tensions`.
     curvatures
-        1/um; mean ones, positive where the wall bulges out of its pair's first region.
+        Mean curvatures, 1/um; positive where a wall bulges out of its pair's first region.
     areas
-        um^2; how much each wall counts.
+        um^2; the weight of each wall.
     regions
-        Those to tell something about.
+        Those to estimate.
     """
     known = [
         (pair, t.value * 2 * curvatures[pair], areas[pair], (t.error or 0.0) / t.value)
@@ -153,13 +153,13 @@ def relative_pressures(
 
 
 def walls_around(regions: tuple[int, int, int]) -> tuple[Pair, Pair, Pair]:
-    """The three walls where regions a < b < c meet: (b, a), (c, b), (c, a)."""
+    """Return the three walls where regions a < b < c meet: (b, a), (c, b), (c, a)."""
     a, b, c = regions
     return (b, a), (c, b), (c, a)
 
 
 def _clusters(junctions: Sequence[Junction], index: Mapping[Pair, int]) -> list[list[Junction]]:
-    """Junctions that share walls, directly or through others."""
+    """Group the junctions that share walls, directly or through others."""
     if not junctions:
         return []
     ends = [[index[wall] for wall in walls_around(j.regions)] for j in junctions]
@@ -176,7 +176,7 @@ def _clusters(junctions: Sequence[Junction], index: Mapping[Pair, int]) -> list[
 def _equations(
     junctions: Sequence[Junction], index: Mapping[Pair, int], resolution: float, floor: float
 ) -> FloatArray:
-    """(2 J, W) the sum of forces in the plane across each junction, over its standard error."""
+    """Return (2 J, W) equations: the force in the plane across each junction over its error."""
     rows = np.zeros((2 * len(junctions), len(index)))
     for k, junction in enumerate(junctions):
         _, b, c = np.radians(junction.angles)
@@ -191,7 +191,7 @@ def _equations(
 
 
 def _solved(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The least squares of forces (M, W) with a mean tension of 1, and its standard errors."""
+    """Minimise the squared forces (M, W) at a mean tension of 1; return tensions and errors."""
     n = rows.shape[1]
     # Householder's reflection of (1, .., 1) onto the first axis: its other columns keep the mean.
     mirror = np.full(n, 1 / np.sqrt(n))
@@ -224,7 +224,7 @@ def _told(value: float, error: float, settings: TensionSettings) -> Estimate:
 def _weighted(
     rows: FloatArray, values: FloatArray, errors: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Weighted least squares, and standard errors from those of the values and what is left."""
+    """Solve weighted least squares; standard errors come from those of values and residuals."""
     root = np.sqrt(weight)
     inverse = np.linalg.pinv((rows * weight[:, None]).T @ rows, hermitian=True)
     response = inverse @ (rows * weight[:, None]).T

@@ -38,12 +38,12 @@ def measure_tracks(results: Sequence[FrameResult]) -> list[TrackRow]:
     Returns
     -------
     list of dict, by frame and cell, with the keys ``TRACK_COLUMNS``
-        parent : the cell that it was born of; 0 for none
+        parent : the cell that it came from by division; 0 for none
         displacement_um : of the centre since the last good frame; NaN in the first one
-        neighbours : the cells with which it shares a wall, with spaces between
+        neighbours : the cells with which it shares a wall, separated by spaces
         grade, shape_error_um : good, fair or poor, and what its surface is thought to be off by
-        message : what happened to it then, and why its grade is no better; in its last frame, why
-            it ends
+        message : what happened to it in this frame, and why its grade is no better; in its last
+            frame, why its track ends
 
         The others are those of ``measure_cells``.
     """

@@ -1,7 +1,7 @@
 """Models of the microscope: from a point spread function (PSF) to its transfer function (OTF).
 
-What the engine asks of a model is the :class:`Optics` protocol. :func:`microscope` makes one from
-the numbers on the objective.
+The engine uses any model that follows the :class:`Optics` protocol. :func:`microscope` makes one
+from the numbers on the objective.
 """
 
 from typing import Protocol
@@ -20,54 +20,54 @@ from .pupil import PupilPSF
 
 
 class Optics(Protocol):
-    """What rendering and fitting need to know of a PSF."""
+    """What rendering and fitting need to know about a PSF."""
 
     @property
     def sigma_um(self) -> tuple[float, float, float]:
-        """Width in space along Z, Y, X (um): how far an image reaches beyond a structure."""
+        """Standard deviations along Z, Y, X (um); effective widths if the PSF is not Gaussian."""
 
     @property
     def diagonal(self) -> bool:
         """Whether the axes of the PSF are those of the grid."""
 
     def width(self) -> tuple[float, float, float]:
-        """um: the OTF of a Gaussian falls below t at ``sqrt(2 ln(1/t)) / width`` along each axis.
+        """Return widths (um): a Gaussian's OTF falls below t at ``sqrt(2 ln(1/t)) / width``.
 
-        For other PSFs, that of a Gaussian about as wide.
+        One for each axis; for other PSFs, that of a Gaussian about as wide.
         """
 
     def reach(self, accuracy: float) -> tuple[float, float, float]:
-        """um along Z, Y, X: what lies beyond adds less than the accuracy to an image."""
+        """Return distances (um) by axis beyond which a PSF adds less than the accuracy."""
 
     def cutoff(self, blur: tuple[float, float, float] = ...) -> Cutoff | None:
-        """Where the OTF ends, with a further blur; None where the law of Gaussians holds."""
+        """Return where the OTF ends, with a further blur (um); None for a Gaussian PSF."""
 
     def otf(self, axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """Optical transfer function at wavevector components that broadcast over a box (rad/um).
+        """Return the OTF at wavevector components (rad/um) that broadcast over a box.
 
-        Real, or complex where the PSF is not symmetric.
+        It is real, or complex if the PSF is not symmetric.
         """
 
     def described(self) -> tuple[Parameter, ...]:
-        """Every parameter: name, unit, value, bounds, and whether it is fitted."""
+        """Describe every parameter: name, unit, value, bounds, and whether it is fitted."""
 
     def parameters(self) -> Tensor:
-        """The fitted parameters as unbounded numbers (P,)."""
+        """Return the fitted parameters as unbounded numbers (P,)."""
 
     def limits(self) -> tuple[Tensor, Tensor]:
-        """Range (P,), (P,) of :meth:`parameters` that a fit started here stays within."""
+        """Return bounds (P,), (P,) of :meth:`parameters` for a fit that starts here."""
 
     def with_parameters(self, parameters: Tensor) -> "Optics":
-        """The same model with other values of :meth:`parameters`; differentiable."""
+        """Return the model with other values of :meth:`parameters`, differentiable in them."""
 
     def sharpened(self, factor: float) -> "Optics":
-        """The sharpest PSF that a fit may make of it before the band is planned anew."""
+        """Return the sharpest PSF that a fit may reach before the band is planned anew."""
 
     def widened(self, by: float) -> "Optics":
-        """A PSF of the same kind whose variance is larger by about the square of ``by`` (um)."""
+        """Return a PSF of the same kind, its variance larger by about ``by`` (um) squared."""
 
     def detach(self) -> "Optics":
-        """A copy that is no part of any gradient."""
+        """Return a copy detached from any gradient."""
 
 
 __all__ = [

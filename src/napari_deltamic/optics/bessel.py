@@ -1,7 +1,7 @@
 """Bessel functions with gradients.
 
-Those of torch have none, and do not say so; their values are SciPy's here, as torch's are wrong in
-the seventh digit between 5 and 20.
+Those of torch have no gradients and do not say so. Values are SciPy's, as torch's are wrong in the
+seventh digit between 5 and 20.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import scipy.special
 import torch
 from torch import Tensor
 
-_SMALL = 0.5  # below it a series, where the recurrence would cancel
+_SMALL = 0.5  # below it a series is used, as the recurrence would cancel
 
 
 class _J0(torch.autograd.Function):

@@ -47,17 +47,17 @@ class GaussianPSF:
 
     @property
     def diagonal(self) -> bool:
-        """Whether the axes of the PSF are those of the grid."""
+        """Whether the covariance is diagonal, so that the PSF's axes are those of the grid."""
         return self._diagonal
 
     @property
     def covariance(self) -> Tensor:
-        """(3, 3) um^2."""
+        """Covariance of the PSF, (3, 3) um^2."""
         return self._cholesky @ self._cholesky.T
 
     @property
     def sigma(self) -> Tensor:
-        """(3,) um: the standard deviations along Z, Y, X."""
+        """(3,) standard deviations along Z, Y, X, um."""
         if self._diagonal:
             return torch.diagonal(self._cholesky)
         return torch.sqrt(torch.diagonal(self.covariance))
@@ -69,21 +69,21 @@ class GaussianPSF:
         return z, y, x
 
     def width(self) -> tuple[float, float, float]:
-        """um: the OTF falls below t at ``sqrt(2 ln(1/t)) / width`` along each axis."""
+        """Return widths (um) by axis: the OTF falls below t at ``sqrt(2 ln(1/t)) / width``."""
         inverse = torch.linalg.inv(self.covariance.detach())
         z, y, x = (float(1 / torch.sqrt(i)) for i in torch.diagonal(inverse))
         return z, y, x
 
     def reach(self, accuracy: float) -> tuple[float, float, float]:
-        """um along Z, Y, X: what lies beyond adds less than the accuracy to an image."""
+        """Return distances (um) by axis beyond which a PSF adds less than the accuracy."""
         z, y, x = (gaussian_reach(accuracy) * s for s in self.sigma_um)
         return z, y, x
 
     def cutoff(self, blur: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-        """None: the law of Gaussians holds, see :meth:`width`."""
+        """Return None: the OTF is Gaussian, see :meth:`width`."""
 
     def otf(self, axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """Optical transfer function at wavevector components that broadcast over a box (rad/um)."""
+        """Return the OTF at wavevector components (rad/um) that broadcast over a box."""
         z, y, x = axes
         if self._diagonal:
             s = self.sigma.to(z.dtype)
@@ -100,7 +100,7 @@ class GaussianPSF:
     # ------------------------------------------------------------------ parameters of a fit
 
     def parameters(self) -> Tensor:
-        """Free numbers of the PSF: log diagonal of the Cholesky factor, then its lower triangle.
+        """Return the log diagonal of the covariance's Cholesky factor, then its lower triangle.
 
         Any values of these give a positive definite covariance.
         """
@@ -111,10 +111,10 @@ class GaussianPSF:
         return torch.cat([log_diagonal, lower])
 
     def limits(self) -> tuple[Tensor, Tensor]:
-        """Range of :meth:`parameters` that a fit started here stays within: widths times 1/4 to 4.
+        """Return bounds of :meth:`parameters` for a fit that starts here: widths times 1/4 to 4.
 
-        An image that tells nothing about the PSF, noise for example, would let them run to nothing
-        or beyond the image.
+        In an image that says nothing about the PSF, noise for example, widths would otherwise go to
+        zero or beyond the image.
         """
         p = self.parameters().detach()
         reach = torch.full_like(p, inf)
@@ -122,20 +122,20 @@ class GaussianPSF:
         return p - reach, p + reach
 
     def sharpened(self, factor: float) -> GaussianPSF:
-        """The same PSF with widths times ``factor``."""
+        """Return the PSF with widths times ``factor``."""
         p = self.parameters().detach().clone()
         p[:3] += float(np.log(factor))
         return self.with_parameters(p)
 
     def widened(self, by: float) -> GaussianPSF:
-        """The PSF with a variance larger by the square of ``by`` (um)."""
+        """Return the PSF with a variance larger by the square of ``by`` (um)."""
         covariance = self.covariance.detach() + by**2 * torch.eye(3, dtype=torch.float64)
         if self.diagonal:
             return GaussianPSF(covariance.diagonal().sqrt())
         return GaussianPSF(covariance=covariance)
 
     def described(self) -> tuple[Parameter, ...]:
-        """Every parameter with its unit, value and bounds."""
+        """Describe every parameter with its unit, value and bounds."""
         return tuple(
             Parameter(f"sigma_{axis}", "um", f"standard deviation along {axis.upper()}",
                       value, 0.0, None, True, "")
@@ -143,7 +143,7 @@ class GaussianPSF:
         )  # fmt: skip
 
     def with_parameters(self, parameters: Tensor) -> GaussianPSF:
-        """The PSF with other values of :meth:`parameters`; differentiable."""
+        """Return the PSF with other values of :meth:`parameters`, differentiable in them."""
         if self._diagonal:
             return GaussianPSF(sigma=torch.exp(parameters))
         lower = torch.zeros(3, 3, dtype=parameters.dtype)
@@ -157,7 +157,7 @@ class GaussianPSF:
         return psf
 
     def detach(self) -> GaussianPSF:
-        """A copy that is no part of any gradient."""
+        """Return a copy detached from any gradient."""
         psf = GaussianPSF._from_cholesky(self._cholesky.detach().clone())
         psf._diagonal = self._diagonal
         return psf
@@ -168,7 +168,7 @@ class GaussianPSF:
 
 
 def gaussian_reach(accuracy: float) -> float:
-    """How many sigma an image reaches beyond a surface before it falls below the accuracy."""
+    """Return how many sigma an image reaches beyond a surface until it is below the accuracy."""
     return sqrt(2 * log(1 / max(accuracy * 0.1, 1e-12)))
 
 

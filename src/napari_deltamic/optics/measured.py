@@ -1,4 +1,4 @@
-"""A measured PSF: the image of a bead."""
+"""A PSF measured from the image of a bead."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _SATURATED = 4  # voxels that share the highest value
 
 
 class MeasuredPSF(ParametricPSF):
-    """The PSF that a bead shows.
+    """A PSF measured from the image of a bead.
 
-    The background is taken off, the bead put at the centre to a fraction of a voxel, the edges are
-    tapered and the sum is 1. The OTF is the transform of the samples, cut off where it drowns in
-    noise; its values at any grid's wavevectors are those of the band-limited image, which is how it
-    is resampled. With a diameter given, the OTF is divided by the transform of the bead where that
+    The background is subtracted, the bead is centred to a fraction of a voxel, the edges are
+    tapered and the sum is made 1. The OTF is the transform of the samples, cut off where it drowns
+    in noise; its values at any grid's wavevectors are those of the band-limited image, which
+    resamples it. If a diameter is given, the OTF is divided by the transform of the bead where that
     is large enough.
 
     Parameters
@@ -50,8 +50,8 @@ class MeasuredPSF(ParametricPSF):
     Raises
     ------
     InputError
-        If the stack is not 3D, holds NaN, is saturated, flat, or smaller than its PSF, or the bead
-        lies off-centre.
+        If the stack is not 3D, holds NaN, is saturated, constant, or smaller than its PSF, or the
+        bead lies off-centre.
     """
 
     def __init__(
@@ -76,19 +76,19 @@ class MeasuredPSF(ParametricPSF):
 
     @property
     def size(self) -> tuple[int, int, int]:
-        """Voxels (Z, Y, X) of the part of the stack that holds the PSF."""
+        """Number of voxels (Z, Y, X) of the part of the stack that holds the PSF."""
         z, y, x = self._held.shape
         return z, y, x
 
     def _with_values(self, values: object) -> Self:
-        return self  # nothing of it can change
+        return self  # it has no parameters that could change
 
     def _positions(self, axis: int) -> Tensor:
         n = self._held.shape[axis]
         return (torch.arange(n, dtype=torch.float64) - self._centre[axis]) * self.voxel_size[axis]
 
     def _transform(self, axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """Transform of the prepared stack at 1D wavevector components."""
+        """Return the transform of the prepared stack at 1D wavevector components."""
         found = self._held.to(torch.complex128)
         for axis in (2, 1, 0):
             wave = torch.exp(-1j * self._positions(axis)[:, None] * axes[axis])
@@ -96,14 +96,14 @@ class MeasuredPSF(ParametricPSF):
         return found
 
     def _seen(self) -> tuple[float, float, float]:
-        """Where the OTF sinks into the noise, rad/um along each axis."""
+        """Return where the OTF sinks into the noise, rad/um along each axis."""
         found = []
         for axis, d in enumerate(self.voxel_size):
             k = torch.linspace(0, pi / d, 129, dtype=torch.float64)
             line = [torch.zeros(1, dtype=torch.float64) for _ in range(3)]
             line[axis] = k
             above = self._transform((line[0], line[1], line[2])).abs().reshape(-1)
-            # Off the axis too: a widefield OTF has none of Z right above zero.
+            # Off the axis, too: a widefield OTF is zero along Z right above the origin.
             for other in range(3):
                 if other != axis:
                     for share in (0.15, 0.3):
@@ -126,7 +126,7 @@ class MeasuredPSF(ParametricPSF):
             component = k.reshape(shape)
             inside = inside + (component / end) ** 2
             squared = squared + component**2
-            # Beyond what its voxels can show the transform repeats itself.
+            # Beyond the wavenumbers of its voxels the transform repeats itself.
             otf = otf * (component.abs() <= pi / d)
         # Each axis ends where the noise begins: over the last tenth, smoothly.
         u = ((torch.sqrt(inside) - 1.0) / 0.1).clamp(0, 1)
@@ -137,7 +137,7 @@ class MeasuredPSF(ParametricPSF):
         return otf.to(torch.complex64) if axes[0].dtype == torch.float32 else otf
 
     def support(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: the OTF is zero beyond."""
+        """Return wavenumbers (rad/um) along Z, Y, X beyond which the OTF is zero."""
         z, y, x = (
             min(1.1 * k, pi / d) for k, d in zip(self._support, self.voxel_size, strict=True)
         )
@@ -145,7 +145,7 @@ class MeasuredPSF(ParametricPSF):
 
     @property
     def extent(self) -> tuple[float, float, float]:
-        """um along Z, Y, X: the PSF is zero beyond."""
+        """Distances (um) along Z, Y, X beyond which the PSF is zero."""
         z, y, x = (
             max(c, n - 1 - c) * d
             for c, n, d in zip(self._centre, self._held.shape, self.voxel_size, strict=True)
@@ -169,9 +169,9 @@ class MeasuredPSF(ParametricPSF):
 
 
 def bead_transform(q: Tensor, bead: Bead, core: float = 0.0) -> Tensor:
-    """Transform of a bead of unit mass at wavevector length times radius.
+    """Return the transform of a bead of unit mass; q : length of the wavevector times the radius.
 
-    core : diameter of the middle of a solid bead that is not stained, relative to the bead's.
+    core : diameter of an unstained core of a solid bead, relative to the bead's.
     """
     if bead == "shell":
         return torch.sinc(q / pi)
@@ -193,7 +193,7 @@ def _ball(q: Tensor) -> Tensor:
 def checked_sizes(
     voxel_size: tuple[float, float, float], bead_diameter: float
 ) -> NDArray[np.float64]:
-    """(3,) voxel size, um; InputError where it or the diameter is wrong or in another unit."""
+    """Return the voxel size (3,), um. InputError if it or the diameter is wrong or no um."""
     size = np.asarray(voxel_size, float)
     if size.shape != (3,) or not (np.isfinite(size).all() and (size > 0).all()):
         raise InputError(f"voxel size must be three positive numbers (um), not {voxel_size}")
@@ -207,7 +207,7 @@ def checked_sizes(
 
 
 def checked_stack(image: NDArray) -> NDArray[np.float64]:
-    """The stack of a bead as float64; InputError where it cannot be one."""
+    """Return the stack of a bead as float64. InputError if it cannot be one."""
     pixels = np.asarray(image)
     if pixels.ndim != 3:
         raise InputError(f"a PSF is a 3D stack (Z, Y, X), not one of {pixels.ndim} dimensions")
@@ -231,10 +231,10 @@ def checked_stack(image: NDArray) -> NDArray[np.float64]:
 
 
 def _prepared(pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """The part of the stack around the bead, without background, tapered; noise of its voxels."""
+    """Return the stack around the bead, tapered and without background, and its voxels' noise."""
     rim = np.zeros(pixels.shape, bool)
     for axis, n in enumerate(pixels.shape):
-        # The light of a bead fills the planes; what is far across is dark.
+        # Far from the focus the light of a bead fills the planes; only far to the side it is dark.
         width = max(1, n // 12)
         if axis > 0:
             rim.swapaxes(0, axis)[:width] = rim.swapaxes(0, axis)[-width:] = True
@@ -270,7 +270,7 @@ def _prepared(pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
 
 
 def _cropped(smooth: NDArray[np.float64], peak: tuple, half: list[int], noise: float) -> list[int]:
-    """Half sizes that hold what rises above the noise, and the taper."""
+    """Return half sizes that hold everything above the noise, and the taper."""
     wide = gaussian_filter(smooth, 1.5)
     # Noise of voxels smoothed twice, by Gaussians of 0.7 and 1.5 voxels.
     level = max(5 * noise / (8 * pi**1.5 * (0.7**2 + 1.5**2) ** 1.5) ** 0.5, 1e-3 * wide.max())
@@ -284,7 +284,7 @@ def _cropped(smooth: NDArray[np.float64], peak: tuple, half: list[int], noise: f
 
 
 def _centroid(held: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Centroid of the bright core: what is above half of the peak, smoothly weighted."""
+    """Return the centroid of the bright core, above half of the peak, smoothly weighted."""
     smooth = gaussian_filter(held, 0.7)
     weight = (smooth - 0.4 * smooth.max()).clip(0)
     grid = np.indices(held.shape)

@@ -1,4 +1,4 @@
-"""From the numbers on an objective to a PSF, in one call."""
+"""Makes a PSF from the numbers on an objective, in one call."""
 
 from __future__ import annotations
 
@@ -41,45 +41,45 @@ def microscope(
     model: PSFModel = "vectorial",
     fitted: tuple[str, ...] | None = None,
 ) -> GaussianPSF | TablePSF:
-    """The PSF of a microscope.
+    """Make the PSF of a microscope.
 
     Parameters
     ----------
     modality
         ``"widefield"``, ``"confocal"``, ``"spinning disk"`` or ``"light sheet"``.
     na
-        Numerical aperture of the objective that detects.
+        Numerical aperture of the detection objective.
     wavelength
-        um: of the emitted light, in vacuum.
+        Of the emitted light in vacuum, um.
     immersion
         ``"air"``, ``"water"``, ``"silicone"``, ``"glycerol"``, ``"oil"``, or a refractive index.
     excitation
-        um: wavelength of the light that excites, for a confocal or a spinning disk; by default 0.93
-        of the emitted one.
+        Wavelength of the excitation, um, for a confocal or a spinning disk; by default 0.93 of the
+        emission.
     pinhole
         Diameter in Airy units.
     sheet
-        um: full width at half maximum of the light sheet.
+        Full width at half maximum of the light sheet, um.
     sample_index
         Refractive index of the sample; by default that of the immersion.
     depth
-        um: of the structure below the coverslip.
+        Depth of the structure below the coverslip, um.
     zernike
-        Noll index -> phase (rad), for the model ``"pupil"``.
+        Phase (rad) by Noll index, for the model ``"pupil"``.
     spherical
-        rad, root mean square over the pupil, of spherical aberration, for the model ``"scalar"``.
+        Spherical aberration, rad (root mean square over the pupil), for the model ``"scalar"``.
     model
         ``"vectorial"`` (the most exact), ``"scalar"``, ``"gibson-lanni"`` (scalar, with the layers
         of the sample), ``"pupil"`` (scalar, with Zernike phases), or ``"gaussian"``, the
         approximation of B. Zhang et al., "Gaussian approximations of fluorescence microscope point-
         spread function models", Appl. Opt. 46, 2007, of the same microscope.
     fitted
-        Names of the parameters that a fit moves; by default those of the model.
+        Names of the parameters to fit; by default those of the model.
 
     Raises
     ------
     InputError
-        If a number is in another unit or cannot be (NA above the index, no sheet, pinhole 0).
+        If a number is in another unit or impossible (NA above the index, no sheet, pinhole 0).
     """
     _check_choice("modality", modality, get_args(Modality))
     _check_choice("model", model, get_args(PSFModel))
@@ -136,7 +136,7 @@ def _objective(
     modality: Modality,
 ) -> ObjectivePSF | PupilPSF:
     (sample_index, depth), (zernike, spherical) = layers, aberrations
-    # What is fitted is said to the outermost model.
+    # The outermost model gets the names of the parameters to fit.
     own = fitted if modality == "widefield" else None
     free = ("na",) if own is None else own
     matched = depth == 0 or abs(sample_index - index) < 1e-9
@@ -162,7 +162,7 @@ def gaussian_widths(
     pinhole: float = 1.0,
     sheet: float | None = None,
 ) -> tuple[float, float, float]:
-    """Sigma (um, Z Y X) of the Gaussian nearest to the PSF of a microscope.
+    """Return sigma (um, Z Y X) of the Gaussian nearest to the PSF of a microscope.
 
     B. Zhang, J. Zerubia and J.-C. Olivo-Marin, Appl. Opt. 46, 2007: the nonparaxial formulas of the
     widefield PSF; products and pinholes combine Gaussians (a disc of radius a has variance
@@ -177,7 +177,7 @@ def gaussian_widths(
         z_lit, lit = _zhang(na, excitation, index)
         hole = (pinhole * AIRY * wavelength / na) ** 2 / 4
         seen = sqrt(across**2 + hole)
-        # What a pinhole gathers from another plane spreads as across: the ratio stays.
+        # A pinhole widens the detection along Z by the same factor as across.
         z_seen = z * seen / across
         if modality == "spinning disk":
             z_lit, lit = z_lit * sqrt(lit**2 + hole) / lit, sqrt(lit**2 + hole)
@@ -187,7 +187,7 @@ def gaussian_widths(
 
 
 def _zhang(na: float, wavelength: float, index: float) -> tuple[float, float]:
-    """Axial and lateral sigma of the nonparaxial widefield PSF."""
+    """Return axial and lateral sigma (um) of the nonparaxial widefield PSF."""
     k = 2 * pi * index / wavelength
     c = sqrt(1 - (na / index) ** 2)
     across = sqrt((4 - 7 * c**1.5 + 3 * c**3.5) / (7 * (1 - c**1.5))) ** -1 / k

@@ -17,7 +17,7 @@ _AXES = ("z", "y", "x")
 
 
 class GaussianMixturePSF(ParametricPSF):
-    """A sum of two to four Gaussians of one centre, of unit mass together.
+    """A sum of two to four Gaussians with one centre and a total mass of 1.
 
     For PSFs with broad tails: spinning disk, widefield of low NA. The parameters are
     ``sigma1_z`` ... ``sigma4_x`` (um) and ``mass2`` ... ``mass4``, the mass of a component relative
@@ -26,11 +26,11 @@ class GaussianMixturePSF(ParametricPSF):
     Parameters
     ----------
     sigmas
-        (C, 3) um along Z, Y, X of each component, or one number for each.
+        (C, 3) um along Z, Y, X of the components, or (C,) one number for each.
     masses
-        (C,) of the components, in any unit.
+        (C,) masses of the components, on any scale.
     fitted
-        Names of the parameters that a fit moves; by default all.
+        Names of the parameters to fit; by default all.
 
     Raises
     ------
@@ -85,14 +85,14 @@ class GaussianMixturePSF(ParametricPSF):
         return found
 
     def support(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: the OTF is below 1e-12 beyond."""
+        """Return wavenumbers (rad/um) along Z, Y, X beyond which the OTF is below 1e-12."""
         reach = sqrt(2 * log(1e12))
         z, y, x = (reach / min(plain(s[i]) for _, s in self._components()) for i in range(3))
         return z, y, x
 
     @property
     def extent(self) -> tuple[float, float, float]:
-        """um along Z, Y, X: the PSF is nothing beyond."""
+        """Distances (um) along Z, Y, X beyond which the PSF is practically zero."""
         z, y, x = (7.5 * max(plain(s[i]) for _, s in self._components()) for i in range(3))
         return z, y, x
 

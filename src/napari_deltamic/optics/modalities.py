@@ -1,4 +1,4 @@
-"""How a sample is lit and what is detected of it: confocal, spinning disk, light sheet."""
+"""PSFs by how a sample is lit and detected: confocal, spinning disk, light sheet."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class ConfocalPSF(RadialPSF):
         PSF of the objective at the emitted wavelength: :class:`ScalarPSF`,
         :class:`GibsonLanniPSF` or :class:`VectorialPSF`.
     excitation
-        um: wavelength of the light that excites.
+        Wavelength of the excitation, um.
     pinhole
         Diameter in Airy units, ``1.22 wavelength / NA``.
     disk
-        Whether the light that excites passes the pinhole too, as in a spinning disk. Light that
-        reaches neighbouring pinholes is not part of the model.
+        Whether the excitation passes the pinhole too, as in a spinning disk. Light that reaches
+        neighbouring pinholes is not part of the model.
     fitted
-        Names of the parameters that a fit moves; those of the objective are shared.
+        Names of the parameters to fit; those of the objective are shared.
     extent
         um along Z and across: the PSF is kept this far and falls to zero over as far again.
 
@@ -82,7 +82,7 @@ class ConfocalPSF(RadialPSF):
         self._outgrown = self._detection._r is not nodes
 
     def _pinhole_radius(self) -> Tensor:
-        """um, in the sample."""
+        """Return the radius of the pinhole in the sample, um."""
         v = self._values
         return v["pinhole"] * AIRY * v["wavelength"] / v["na"]
 
@@ -90,7 +90,7 @@ class ConfocalPSF(RadialPSF):
         return self._detection.with_wavelength(self._values["excitation"])
 
     def _bandwidth(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: of the intensity."""
+        """Return the bandwidth of the intensity, rad/um along Z, Y, X."""
         emitted, exciting = self._detection._bandwidth(), self._excitation()._bandwidth()
         z, y, x = (a + b for a, b in zip(emitted, exciting, strict=True))
         return z, y, x
@@ -104,7 +104,7 @@ class ConfocalPSF(RadialPSF):
         super()._place_nodes()
         self._outgrown = False
         z, r = (1 + TAPER) * self._flat[0], (1 + TAPER) * self._flat[1]
-        # The emission that a pinhole gathers, and a margin over which it falls to zero.
+        # The emission that a pinhole collects, and a margin over which it falls to zero.
         gathered = (r + float(self._pinhole_radius().detach()) * _MARGIN, z)
         self._detection = self._detection.with_extent((gathered[1], gathered[0]))
         q = self._detection._resolved[1]
@@ -117,12 +117,12 @@ class ConfocalPSF(RadialPSF):
         )
 
     def _through_pinhole(self, psf: ObjectivePSF, z: Tensor) -> Tensor:
-        """(Nz, Nr): intensity gathered by a pinhole centred at each radius."""
+        """Return (Nz, Nr) the intensity collected by a pinhole centred at each radius."""
         spectrum = psf.intensity_at(z, self._detection._r) @ self._forward
         return (spectrum * jinc(self._q * self._pinhole_radius())) @ self._inverse
 
     def intensity_at(self, z: Tensor, r: Tensor) -> Tensor:
-        """(Nz, Nr) intensity at focus positions ``z``; ``r`` are the nodes of this PSF."""
+        """Return (Nz, Nr) intensity at focus positions ``z``; ``r`` are the nodes of this PSF."""
         emitted = self._through_pinhole(self._detection, z)
         exciting = self._excitation()
         if self._disk:
@@ -138,9 +138,9 @@ class LightSheetPSF(TablePSF):
     Parameters
     ----------
     detection
-        PSF of the objective that detects, at the emitted wavelength.
+        PSF of the detection objective, at the emitted wavelength.
     sheet
-        um: full width at half maximum of the sheet.
+        Full width at half maximum of the sheet, um.
     fitted
         Names of the parameters that a fit moves.
     """
@@ -167,7 +167,7 @@ class LightSheetPSF(TablePSF):
         self._outgrown = self._detection._known is not planes
 
     def _bandwidth(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: of the intensity."""
+        """Return the bandwidth of the intensity, rad/um along Z, Y, X."""
         z, y, x = self._detection._bandwidth()
         return z + 5 * _FWHM / self._number("sheet"), y, x
 
@@ -176,7 +176,7 @@ class LightSheetPSF(TablePSF):
         return min(z, 3 / _FWHM * self._number("sheet")), r
 
     def _place_nodes(self) -> None:
-        self._outgrown = False  # nodes are those of the detection
+        self._outgrown = False  # the nodes are those of the detection
 
     def _intensity(self, z: Tensor) -> Tensor:
         planes = self._detection._intensity(z)

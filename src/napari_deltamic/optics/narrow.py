@@ -1,4 +1,4 @@
-"""Whether a PSF is narrower than voxels can tell."""
+"""Whether a PSF is too narrow for the voxels to determine it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class NarrowRules:
-    """When a PSF is too narrow.
+    """Numbers that decide whether a PSF is too narrow.
 
     Attributes
     ----------
     voxels
-        Standard deviation of the narrowest PSF that an image can tell. By definition: at the
-        largest wavenumber of voxels its OTF is 0.17 still, so that most of the fall of a narrower
-        one lies beyond.
+        Standard deviation of the narrowest PSF that an image can determine, in voxels. By
+        definition: at the largest wavenumber of voxels its OTF is still 0.17, so that most of the
+        fall of a narrower one lies beyond.
     """
 
     voxels: float = 0.6
@@ -25,7 +25,7 @@ RULES = NarrowRules()
 
 
 def narrower_than_told(sigma_um: Sequence[float], voxel_size: Sequence[float]) -> bool:
-    """Whether a PSF is narrower, along any axis, than an image of such voxels can tell.
+    """Whether a PSF is narrower, along any axis, than an image of such voxels can determine.
 
     Parameters
     ----------

@@ -22,8 +22,8 @@ from .parameters import Spec, plain
 
 _FOCAL_SHIFT = "its main effect is the scale of z, which no image can tell from the shape"
 _MICROSCOPE = "it is known from the objective; fit the depth or the coverslip instead"
-# Of these, a fit may find 4 times as much or as little as light has (RANGE), where more than
-# diffraction makes a PSF wide, and again so when it goes on: its settings are read again. Chosen.
+# A fit may find 4 times as much or as little of these as light can have (RANGE), if more than
+# diffraction widens a PSF, and as much again when it goes on and reads its settings anew. Chosen.
 NA = Spec("na", "", "numerical aperture", 0.0, "index", (0.005, 1.7))
 WAVELENGTHS = (0.01, 40.0)  # um; neither nm nor mm of light
 WAVELENGTH = Spec("wavelength", "um", "of the emitted light, in vacuum", 0.0, None, WAVELENGTHS)
@@ -46,15 +46,15 @@ LAYERS = (
          _MICROSCOPE),
 )  # fmt: skip
 _BELOW_SAMPLE_INDEX = 0.999
-# rad of spherical aberration that a PSF which begins with less has room for, where that is fitted.
-# Chosen. Measured against a PSF with room for 2.5 rad (confocal, NA 1.22): the OTF differs by 0.05
-# at 0.8 rad. Without any aberration, the usual extent alone makes as much of a difference, 0.07.
+# Spherical aberration (rad) for which the extent has room at least, if that is fitted. Chosen.
+# Measured against a PSF with room for 2.5 rad (confocal, NA 1.22): the OTF differs by 0.05 at 0.8
+# rad. Without any aberration, the usual extent alone makes as much of a difference, 0.07.
 _ABERRATED = 0.5
 _AXIAL_UNITS, _LATERAL_UNITS = 2.5, 5.0  # of resolution: extents that hold most of a PSF
 
 
 def check_aperture(na: float, index: float) -> None:
-    """InputError unless the aperture is below the index of the immersion."""
+    """Raise InputError unless the aperture is below the index of the immersion."""
     if na >= index:
         raise InputError(
             f"NA {na:g} must be below the refractive index of the immersion, {index:g}"
@@ -62,7 +62,7 @@ def check_aperture(na: float, index: float) -> None:
 
 
 class ObjectivePSF(RadialPSF):
-    """What scalar and vectorial PSFs of an objective share: the pupil and its sampling."""
+    """Base of scalar and vectorial PSFs of an objective: the pupil and its sampling."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class ObjectivePSF(RadialPSF):
         super().__init__(specs, values, fitted, extent)
 
     def with_extent(self, extent: Extent) -> ObjectivePSF:
-        """The same PSF, kept within another extent (um along Z and across)."""
+        """Return the same PSF, kept within another extent (um along Z and across)."""
         other = self._with_values(self._values)
         with torch.no_grad():
             other._keep_within(extent)
@@ -90,33 +90,33 @@ class ObjectivePSF(RadialPSF):
         return other
 
     def with_wavelength(self, wavelength: Tensor) -> ObjectivePSF:
-        """The same objective at another wavelength, on the same nodes."""
+        """Return the same objective at another wavelength (um), on the same nodes."""
         return self._with_values({**self._values, "wavelength": wavelength})
 
     # ------------------------------------------------------------------------------- the pupil
 
     def _aperture(self) -> Tensor:
-        """s at the rim."""
+        """Return s at the rim of the pupil."""
         return self._values["na"]
 
     def _path(self, s: Tensor, weight: Tensor) -> Tensor | None:
-        """Path (um) of rays beyond that of those in focus, which depends on the weight of each."""
+        """Return the excess path (um) of rays over those in focus; None if there is none."""
         return None
 
     def _widest_path(self, s: Tensor, weight: Tensor) -> Tensor | None:
-        """The same as far as a fit may take it, which the extent has room for."""
+        """Return the largest path that a fit may reach, for which the extent has room."""
         return self._path(s, weight)
 
     def _fields(self, s: Tensor, amplitude: Tensor) -> list[tuple[float, Tensor, int]]:
-        """Weight of the intensity, amplitude along the pupil, and order of its Bessel function."""
+        """Return weight of the intensity, pupil amplitude and Bessel order of each field."""
         return [(1.0, amplitude, 0)]
 
     def _amplitude(self, s: Tensor) -> Tensor:
-        """Amplitude across the pupil."""
+        """Return the amplitude across the pupil."""
         return torch.ones_like(s)
 
     def _bandwidth(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: of the intensity."""
+        """Return the bandwidth of the intensity, rad/um along Z, Y, X."""
         s, n = float(self._aperture().detach()), self._number("index")
         k = 2 * pi / self._number("wavelength")
         return k * (n - sqrt(n * n - s * s)), 2 * k * s, 2 * k * s
@@ -129,7 +129,7 @@ class ObjectivePSF(RadialPSF):
         return z, max(_LATERAL_UNITS * 2 * pi / kr, z * s / sqrt(n * n - s * s)) + across
 
     def _ray_spread(self) -> Extent:
-        """How far aberrated rays land from the focus, along Z and across (um)."""
+        """Return how far aberrated rays land from the focus, along Z and across (um)."""
         rho = torch.linspace(0, 1, 65, dtype=torch.float64)
         s = rho * self._aperture()
         path = self._widest_path(s, rho)
@@ -145,12 +145,12 @@ class ObjectivePSF(RadialPSF):
         super()._place_nodes()
         kz, kr = self._resolved
         z, r = (1 + TAPER) * self._flat[0], (1 + TAPER) * self._flat[1]
-        # Aberrations need no more nodes: the extent holds the rays that they spread.
+        # Aberrations need no further nodes: the extent already holds the rays that they spread.
         phase = kr / 2 * r + kz * z
         self._rho, self._rho_weight = gauss_legendre(0.0, 1.0, nodes_for(FEWER_IN_PUPIL * phase))
 
     def intensity_at(self, z: Tensor, r: Tensor) -> Tensor:
-        """(Nz, Nr) intensity at focus positions ``z`` and distances ``r`` from the axis (um)."""
+        """Return (Nz, Nr) intensity at focus positions ``z`` and axis distances ``r`` (um)."""
         v = self._values
         k = 2 * pi / v["wavelength"]
         rim = self._aperture()
@@ -176,7 +176,7 @@ class ObjectivePSF(RadialPSF):
 def without_defocus(
     path: Tensor, s: Tensor, index: Tensor, weight: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """A path along the pupil without its mean and its defocus, and that defocus (um)."""
+    """Return a path along the pupil without its mean and defocus, and that defocus (um)."""
     cosine = torch.sqrt(index**2 - s**2)
     weight = weight / weight.sum()
     path, cosine = path - (weight * path).sum(), cosine - (weight * cosine).sum()
@@ -185,13 +185,13 @@ def without_defocus(
 
 
 class ScalarPSF(ObjectivePSF):
-    """Scalar PSF of an aplanatic objective, with spherical aberration at most.
+    """Scalar PSF of an aplanatic objective, with no aberration but the spherical one.
 
     The amplitude across the pupil is ``cos(angle)^(-1/2) exp(-apodisation rho^2)``: the sine
-    condition for light that is emitted alike in all directions (B. M. Hanser et al., J. Microsc.
-    216, 2004). Of the aberration, ``sqrt(5) (6 rho^4 - 6 rho^2 + 1)`` rad (R. J. Noll, J. Opt. Soc.
-    Am. 66, 1976), what shifts the focus is taken away, as it would move what is measured. With
-    other aberrations: :class:`PupilPSF`, :class:`GibsonLanniPSF`.
+    condition for light that is emitted equally in all directions (B. M. Hanser et al., J. Microsc.
+    216, 2004). The aberration is ``sqrt(5) (6 rho^4 - 6 rho^2 + 1)`` rad (R. J. Noll, J. Opt. Soc.
+    Am. 66, 1976) without its shift of the focus, which would move what is measured. For other
+    aberrations see :class:`PupilPSF` and :class:`GibsonLanniPSF`.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class ScalarPSF(ObjectivePSF):
     apodisation
         0 for none.
     spherical
-        rad, root mean square over the pupil, of spherical aberration; of either sign, 0 for none.
+        Spherical aberration, rad (root mean square over the pupil); of either sign, 0 for none.
     fitted
         Names of the parameters that a fit moves.
     extent
@@ -232,7 +232,7 @@ class ScalarPSF(ObjectivePSF):
         super().__init__(specs, values, fitted, extent)
 
     def with_wavelength(self, wavelength: Tensor) -> ScalarPSF:
-        # Paths stay: it is the same glass.
+        # Paths in um stay the same, as the glass does.
         v = self._values
         spherical = v["spherical"] * v["wavelength"] / wavelength
         return self._with_values({**v, "wavelength": wavelength, "spherical": spherical})
@@ -247,7 +247,7 @@ class ScalarPSF(ObjectivePSF):
         return self._aberrated(most, s, weight)
 
     def _aberrated(self, phase: Tensor, s: Tensor, weight: Tensor) -> Tensor | None:
-        """um; phase : rad, root mean square over the pupil."""
+        """Return the path (um) of an aberration; phase : rad, root mean square over the pupil."""
         if not (phase.requires_grad or plain(phase)):
             return None
         squared = (s / self._aperture()) ** 2
@@ -266,9 +266,9 @@ class GibsonLanniPSF(ObjectivePSF):
 
     S. F. Gibson and F. Lanni, "Experimental test of an analytical model of aberration in an
     oil-immersion objective lens used in three-dimensional light microscopy", J. Opt. Soc. Am. A 8,
-    1991. Light passes the sample to the depth of the structure, the coverslip and the immersion;
-    what differs from the design makes the aberration. The part of it that is a shift of the focus
-    is taken away, as it would move what is measured.
+    1991. Light passes the sample above the structure, the coverslip and the immersion; differences
+    from the design cause the aberration. The part of it that shifts the focus is removed, as it
+    would move what is measured.
 
     Parameters
     ----------
@@ -276,15 +276,15 @@ class GibsonLanniPSF(ObjectivePSF):
         Numerical aperture; um, of the emitted light in vacuum; refractive index of the immersion.
         Numbers or tensors: the OTF is differentiable in all parameters.
     sample_index
-        Refractive index of the sample; by default that of the immersion. Light beyond it, where
-        the NA is larger, stays at the coverslip and does not count.
+        Refractive index of the sample; by default that of the immersion. If the NA is larger, light
+        beyond the index stays at the coverslip and does not count.
     depth
-        um: of the structure below the coverslip.
+        Depth of the structure below the coverslip, um.
     coverslip, coverslip_index
-        um, refractive index.
+        Thickness (um) and refractive index of the coverslip.
     design_index, design_coverslip, design_coverslip_index, working_distance
-        What the objective is made for; um. By default the immersion and the coverslip that are
-        there.
+        What the objective is made for; lengths in um. By default the immersion and the coverslip in
+        use.
     fitted
         Names of the parameters that a fit moves.
     extent
@@ -293,8 +293,8 @@ class GibsonLanniPSF(ObjectivePSF):
     Raises
     ------
     InputError
-        If the NA is not below the index, a value is in another unit, or what is to be fitted
-        cannot be.
+        If the NA is not below the index, a value is in another unit, or a parameter cannot be
+        fitted.
     """
 
     def __init__(
@@ -339,7 +339,7 @@ class GibsonLanniPSF(ObjectivePSF):
         return v["na"] if plain(v["na"]) < plain(highest) else highest
 
     def _layers(self, s: Tensor) -> Tensor:
-        """Path of rays through all layers but the immersion as it is (um)."""
+        """Return the path (um) of rays through all layers but the actual immersion."""
         v = self._values
 
         def through(thickness: str, index: str) -> Tensor:
@@ -362,7 +362,7 @@ class VectorialPSF(GibsonLanniPSF):
     Three integrals I0, I1, I2 (B. Richards and E. Wolf, Proc. R. Soc. A 253, 1959) with the
     transmission of the interfaces and the path of :class:`GibsonLanniPSF` (F. Aguet, "Super-
     resolution fluorescence microscopy based on physical models", EPFL 2009); the intensity is
-    ``|I0|^2 + 2 |I1|^2 + |I2|^2``. Parameters as there.
+    ``|I0|^2 + 2 |I1|^2 + |I2|^2``. Parameters as in that class.
     """
 
     def _amplitude(self, s: Tensor) -> Tensor:

@@ -1,9 +1,9 @@
 """PSFs computed in space, on planes around the focus, and transformed to an OTF.
 
-The intensity is band-limited, so that it needs few samples: planes evenly spaced along Z, and
-Gauss-Legendre nodes along the radius. It is kept within an extent of the focus and falls to zero
-smoothly beyond: the light of a widefield PSF is the same in every plane, and has no total
-otherwise.
+The intensity is band-limited, so that few samples suffice: planes evenly spaced along Z, and
+Gauss-Legendre nodes along the radius. It is kept within an extent of the focus and falls smoothly
+to zero beyond: the light of a widefield PSF is the same in every plane, so that its total would be
+infinite otherwise.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from .parameters import Spec
 from .parametric_psf import Axes, ParametricPSF
 
 Extent = tuple[float, float]
-# Of the extent: beyond it, the PSF falls to zero. A shorter one has side lobes that pass the band.
+# In extents: over this distance beyond the extent the PSF falls to zero. A shorter one would have
+# side lobes that pass the band.
 TAPER = 1.0
 _LEAK = 6.3  # rad: where the transform of a window of extent 1 has fallen to a thousandth
 _DENSER = 1.25  # than the Nyquist rate: planes and nodes
@@ -37,13 +38,13 @@ _GROWTH = 1.25  # of the support that a fit may ask for
 
 
 def window(distance: Tensor, extent: float) -> Tensor:
-    """1 up to the extent, and from there smoothly to 0."""
+    """Return 1 up to the extent, and from there smoothly down to 0."""
     u = ((distance / extent - 1) / TAPER).clamp(0, 1)
     return torch.cos(u * (pi / 2)) ** 2
 
 
 def gauss_legendre(low: float, high: float, count: int) -> tuple[Tensor, Tensor]:
-    """Nodes and weights (count,) on an interval."""
+    """Return Gauss-Legendre nodes and weights (count,) on an interval."""
     nodes, weights = _legendre(count)
     half = (high - low) / 2
     return torch.from_numpy(nodes * half + (low + high) / 2), torch.from_numpy(weights * half)
@@ -56,7 +57,7 @@ def _legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nodes_for(phase: float) -> int:
-    """Gauss-Legendre nodes for an integrand whose phase runs over so many rad."""
+    """Return the number of nodes for an integrand whose phase runs over so many rad."""
     return ceil(0.5 * phase) + 14
 
 
@@ -64,7 +65,7 @@ class TablePSF(ParametricPSF):
     """A PSF given by its intensity on planes.
 
     Subclasses give the intensity (:meth:`_intensity`) and the transform across the axis
-    (:meth:`_lateral`), of as few numbers as tell it (:meth:`_on_plane`).
+    (:meth:`_lateral`), in a compact form that :meth:`_on_plane` expands.
     """
 
     def __init__(
@@ -94,33 +95,33 @@ class TablePSF(ParametricPSF):
         raise NotImplementedError
 
     def _place_nodes(self) -> None:
-        """Nodes across the axis."""
+        """Choose the nodes across the axis."""
         raise NotImplementedError
 
     _outgrown = False  # whether a PSF that this one is made of has other nodes by now
 
     def _intensity(self, z: Tensor) -> Tensor:
-        """(Nz, ...) intensity on the planes ``z``, at the nodes across."""
+        """Return (Nz, ...) intensity on the planes ``z``, at the nodes across the axis."""
         raise NotImplementedError
 
     def _lateral(self, planes: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
-        """(Nz, M): transform of (windowed) planes across the axis; exact where resolved."""
+        """Return (Nz, M) the compact transform of (windowed) planes, exact where resolved."""
         raise NotImplementedError
 
     def _on_plane(self, across: Tensor, ky: Tensor, kx: Tensor) -> Tensor:
-        """(N, Ky, Kx): what is told by N rows as :meth:`_lateral` makes them; linear."""
+        """Expand N rows of :meth:`_lateral` to (N, Ky, Kx); linear."""
         raise NotImplementedError
 
     def _totals(self, planes: Tensor) -> Tensor:
-        """(Nz,) integral of each plane."""
+        """Return (Nz,) the integral of each plane."""
         raise NotImplementedError
 
     def _sections(self, plane: Tensor) -> tuple[float, float]:
-        """L2 widths along Y and X through the middle of a plane."""
+        """Return L2 widths along Y and X through the middle of a plane."""
         raise NotImplementedError
 
     def _bandwidth(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: of the intensity, but for its window."""
+        """Return the bandwidth of the intensity without its window, rad/um along Z, Y, X."""
         raise NotImplementedError
 
     # ------------------------------------------------------------------------------ in common
@@ -144,26 +145,26 @@ class TablePSF(ParametricPSF):
         return other
 
     def _needed(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: of the intensity within its window, but for weak side lobes."""
+        """Return the bandwidth of the windowed intensity, without weak side lobes, rad/um."""
         widths = (self._flat[0], self._flat[1], self._flat[1])
         z, y, x = (k + _LEAK / w for k, w in zip(self._bandwidth(), widths, strict=True))
         return z, y, x
 
     def support(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: the OTF is zero beyond."""
+        """Return wavenumbers (rad/um) along Z, Y, X beyond which the OTF is zero."""
         z, r = self._resolved
         return z, r, r
 
     @property
     def extent(self) -> tuple[float, float, float]:
-        """um along Z, Y, X: the PSF is zero beyond."""
+        """Distances (um) along Z, Y, X beyond which the PSF is zero."""
         z, r = ((1 + TAPER) * e for e in self._flat)
         return z, r, r
 
     def _planes(self) -> Tensor:
-        """The intensity on the planes; without a gradient, it is kept.
+        """Return the intensity on the planes, and keep a copy without its gradient.
 
-        A fit asks for it where it has asked for the gradient.
+        A fit needs it again at the values at which it has needed the gradient.
         """
         values = tuple(self._number(name) for name in self._values)
         if not self._differentiable():
@@ -193,7 +194,7 @@ class TablePSF(ParametricPSF):
         return (z, *self._sections(planes[int(brightest.argmax())]))
 
     def density(self, z: Tensor, y: Tensor, x: Tensor) -> Tensor:
-        """PSF (Nz, Ny, Nx), per um^3, at the points of a grid around the focus (um)."""
+        """Return the PSF (Nz, Ny, Nx), per um^3, at the points of a grid around the focus (um)."""
         kz, ky, kx = self.support()
         axes, weight = [], 1.0
         for k, extent in zip((kz, ky, kx), self.extent, strict=True):
@@ -208,7 +209,7 @@ class TablePSF(ParametricPSF):
 
 
 def l2_width(profile: Tensor, weight: Tensor) -> float:
-    """Sigma of the Gaussian with the same ``(integral f)^2 / integral f^2``: tails hardly count."""
+    """Sigma of the Gaussian with equal ``(integral f)^2 / integral f^2``: tails hardly count."""
     first, second = float((profile * weight).sum()), float((profile**2 * weight).sum())
     return first**2 / max(second, 1e-300) / (2 * sqrt(pi))
 
@@ -218,14 +219,14 @@ class RadialPSF(TablePSF):
 
     def _place_nodes(self) -> None:
         reach = (1 + TAPER) * self._flat[1]
-        # The intensity and the wave that it is transformed with are resolved together.
+        # The nodes resolve the product of the intensity and the wave of its transform.
         count = nodes_for(FEWER_ACROSS * 2 * self._resolved[1] * reach)
         self._r, weight = gauss_legendre(0.0, reach, count)
         self._line_weight = weight * window(self._r, self._flat[1])
         self._r_weight = 2 * pi * self._r * self._line_weight
 
     def intensity_at(self, z: Tensor, r: Tensor) -> Tensor:
-        """(Nz, Nr) intensity at focus positions ``z`` and distances ``r`` from the axis (um)."""
+        """Return (Nz, Nr) intensity at focus positions ``z`` and axis distances ``r`` (um)."""
         raise NotImplementedError
 
     def _intensity(self, z: Tensor) -> Tensor:
@@ -252,11 +253,11 @@ class RadialPSF(TablePSF):
 
 
 class _Hankel(NamedTuple):
-    """A transform of order 0, from a radius r <= R to a plane of wavevectors, in two steps.
+    """A Hankel transform of order 0, from radii r <= R to a plane of wavevectors, in two steps.
 
-    Of a function within R, it is an entire function of k^2: as many Chebyshev polynomials tell it
-    as there are half waves of J0(k R) (L. N. Trefethen, "Approximation Theory and Approximation
-    Practice", 2013), and there are far fewer of them than lengths k in a plane.
+    The transform of a function within R is an entire function of k^2: it needs as many Chebyshev
+    polynomials as there are half waves of J0(k R) (L. N. Trefethen, "Approximation Theory and
+    Approximation Practice", 2013), far fewer than there are lengths k in a plane.
 
     Attributes
     ----------
@@ -265,7 +266,7 @@ class _Hankel(NamedTuple):
     polynomials
         (M, N) at the distinct lengths k; 0 where they are not resolved.
     where
-        (Ky * Kx,) which of them each wavevector has.
+        (Ky * Kx,) index of the length of each wavevector.
     """
 
     to_coefficients: Tensor
@@ -278,13 +279,13 @@ _hankels: Kept[_Hankel] = Kept(8)
 
 
 def _hankel(ky: tuple[float, ...], kx: tuple[float, ...], r: Tensor, resolved: float) -> _Hankel:
-    """Kept: it depends on the grid alone, so that iterations of a fit need no Bessel functions."""
+    """Return a transform; cached by grid, so that iterations of a fit need no Bessel functions."""
 
     def make() -> _Hankel:
         y, x = torch.tensor(ky, dtype=torch.float64), torch.tensor(kx, dtype=torch.float64)
         squared = (y**2)[:, None] + x**2
         scale = float(squared.max()) or 1.0
-        # Lengths that differ by rounding are one.
+        # Lengths that differ only by rounding count as one.
         rounded = torch.round(squared.reshape(-1) / scale * 1e12)
         lengths, where = torch.unique(rounded, return_inverse=True)
         k = torch.sqrt(lengths * (scale / 1e12))

@@ -1,4 +1,4 @@
-"""Parameters of a PSF: names, units, bounds, and the unbounded numbers that a fit moves."""
+"""Parameters of a PSF: names, units, bounds, and the unbounded numbers that a fit changes."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from torch import Tensor
 
 from ..errors import InputError
 
-RANGE = log(4)  # of the logarithm of a parameter, around its value at the start of a fit
-_FREE_RANGE = 3.0  # the same of one that has no bounds (phases, rad)
+RANGE = log(4)  # of a parameter's logarithm, around its value at the start of a fit
+_FREE_RANGE = 3.0  # the same for parameters without bounds (phases, rad)
 
 
 @dataclass(frozen=True)
 class Spec:
-    """What is known of a parameter whatever its value.
+    """Properties of a parameter that do not depend on its value.
 
     Attributes
     ----------
     name, unit, help
         ``unit`` is "" for pure numbers.
     lower, upper
-        Bounds, which a value never reaches; a name stands for the value of another parameter,
-        None for no bound.
+        Bounds, which a value never reaches; a name stands for the value of that parameter, None for
+        no bound.
     typical
-        Values outside are refused, as being in another unit.
+        Range; values outside are refused, as they must be in another unit.
     refused
         Why it cannot be fitted; "" where it can.
     """
@@ -43,7 +43,7 @@ class Spec:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a PSF as it is now.
+    """A parameter of a PSF with its present value.
 
     Attributes
     ----------
@@ -52,9 +52,9 @@ class Parameter:
     value
         In that unit.
     lower, upper
-        Bounds that the value stays within; None where there is none.
+        Bounds of the value; None for no bound.
     fitted
-        Whether a fit moves it.
+        Whether a fit changes it.
     refused
         Why it cannot be fitted; "" where it can.
     """
@@ -70,12 +70,12 @@ class Parameter:
 
 
 def as_value(spec: Spec, value: object) -> Tensor:
-    """A checked float64 scalar; a tensor is kept, so that a PSF is differentiable in it.
+    """Return a checked float64 scalar; a tensor is kept, so that a PSF is differentiable in it.
 
     Raises
     ------
     InputError
-        If it is no finite number, or in another unit.
+        If it is not a finite number, or in another unit.
     """
     try:
         tensor = value.to(torch.float64) if isinstance(value, Tensor) else _double(value)
@@ -89,7 +89,7 @@ def as_value(spec: Spec, value: object) -> Tensor:
 
 
 def plain(value: float | Tensor) -> float:
-    """A number, or that of a tensor."""
+    """Return a plain number from a number or a tensor."""
     return float(value.detach()) if isinstance(value, Tensor) else float(value)
 
 
@@ -98,7 +98,7 @@ def _double(value: object) -> Tensor:
 
 
 def check_unit(spec: Spec, number: float) -> None:
-    """InputError where a number is not typical; says so where it is off by 1000."""
+    """Raise InputError if a number is not typical; it says if the number is off by 1000."""
     low, high = spec.typical
     if low <= number <= high:
         return
@@ -114,7 +114,7 @@ def check_unit(spec: Spec, number: float) -> None:
 
 
 def check_fitted(specs: Sequence[Spec], fitted: Sequence[str]) -> tuple[str, ...]:
-    """The names to fit, in the order of the specs; InputError for one that cannot be."""
+    """Return the names to fit, in the order of the specs. InputError if one cannot be fitted."""
     known = {s.name: s for s in specs}
     for name in fitted:
         if name not in known:
@@ -125,7 +125,7 @@ def check_fitted(specs: Sequence[Spec], fitted: Sequence[str]) -> tuple[str, ...
 
 
 def encode(spec: Spec, values: Mapping[str, Tensor]) -> Tensor:
-    """The unbounded number for a value: a log or logit, so that bounds always hold."""
+    """Return the unbounded number for a value: a log or logit, so that bounds always hold."""
     v = values[spec.name]
     low, high = bound(spec.lower, values), bound(spec.upper, values)
     if low is None and high is None:
@@ -142,7 +142,7 @@ def encode(spec: Spec, values: Mapping[str, Tensor]) -> Tensor:
 
 
 def decode(spec: Spec, number: Tensor, values: Mapping[str, Tensor]) -> Tensor:
-    """The value for an unbounded number; the values hold what its bounds name."""
+    """Return the value for an unbounded number; ``values`` hold the parameters that bounds name."""
     low, high = bound(spec.lower, values), bound(spec.upper, values)
     if low is None:
         return number
@@ -152,12 +152,12 @@ def decode(spec: Spec, number: Tensor, values: Mapping[str, Tensor]) -> Tensor:
 
 
 def bound(given: float | str | None, values: Mapping[str, Tensor]) -> Tensor | None:
-    """A bound as a number."""
+    """Return a bound as a number; None for no bound."""
     if given is None:
         return None
     return values[given] if isinstance(given, str) else torch.tensor(given, dtype=torch.float64)
 
 
 def free_range(spec: Spec) -> float:
-    """How far the unbounded number may move in a fit."""
+    """Return how far the unbounded number may move in a fit."""
     return _FREE_RANGE if spec.lower is None and spec.upper is None else RANGE

@@ -1,4 +1,4 @@
-"""What the PSF models with named parameters have in common."""
+"""The base class of PSF models with named parameters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Axes = tuple[Tensor, Tensor, Tensor]
 
 
 class ParametricPSF:
-    """A PSF whose named parameters are tensors; immutable, so that its OTF is kept.
+    """A PSF whose named parameters are tensors; immutable, so that its OTF can be cached.
 
     Subclasses compute the OTF in :meth:`_otf` from :attr:`values`.
     """
@@ -37,7 +37,7 @@ class ParametricPSF:
         self._forget()
 
     def _forget(self) -> None:
-        """What is kept belongs to these values only."""
+        """Clear everything that was cached, which belongs to the present values."""
         self._kept: tuple[Axes, Tensor] | None = None
         self._sigma: Triple | None = None
         self._reach: dict[float, Triple] = {}
@@ -47,16 +47,16 @@ class ParametricPSF:
 
     @property
     def values(self) -> dict[str, Tensor]:
-        """Name -> value of every parameter."""
+        """Values of all parameters, by name."""
         return dict(self._values)
 
     @property
     def fitted(self) -> tuple[str, ...]:
-        """Names of the parameters that a fit moves."""
+        """Names of the parameters that a fit changes."""
         return self._fitted
 
     def described(self) -> tuple[Parameter, ...]:
-        """Every parameter with its unit, value and bounds."""
+        """Describe every parameter with its unit, value and bounds."""
         found = []
         for s in self._specs:
             low, high = bound(s.lower, self._values), bound(s.upper, self._values)
@@ -75,17 +75,17 @@ class ParametricPSF:
         return tuple(found)
 
     def parameters(self) -> Tensor:
-        """The fitted parameters as unbounded numbers (P,)."""
+        """Return the fitted parameters as unbounded numbers (P,)."""
         chosen = [encode(s, self._values) for s in self._specs if s.name in self._fitted]
         return torch.stack(chosen) if chosen else torch.zeros(0, dtype=torch.float64)
 
     def with_parameters(self, parameters: Tensor) -> Self:
-        """The same model with other values of :meth:`parameters`; differentiable."""
+        """Return the model with other values of :meth:`parameters`, differentiable in them."""
         if not torch.is_grad_enabled():  # views of a leaf ask for gradients even there
             parameters = parameters.detach()
         values = dict(self._values)
         numbers = dict(zip(self._fitted, parameters.to(torch.float64).unbind(0), strict=True))
-        # What bounds another comes first.
+        # Parameters that are bounds of others come first.
         ordered = sorted(self._specs, key=lambda s: isinstance(s.upper, str))
         for s in ordered:
             if s.name in numbers:
@@ -93,16 +93,16 @@ class ParametricPSF:
         return self._with_values(values)
 
     def limits(self) -> tuple[Tensor, Tensor]:
-        """Range (P,), (P,) of :meth:`parameters` that a fit started here stays within."""
+        """Return bounds (P,), (P,) of :meth:`parameters` for a fit that starts here."""
         p = self.parameters().detach()
         chosen = [free_range(s) for s in self._specs if s.name in self._fitted]
         reach = torch.tensor(chosen, dtype=torch.float64)
         return p - reach, p + reach
 
     def sharpened(self, factor: float) -> Self:
-        """What a fit may make of the PSF before a band is planned anew: widths times ``factor``.
+        """Return the sharpest PSF before a band is planned anew: widths are times ``factor``.
 
-        Phases come closer to 0 by its logarithm, which is as far as one step may move them.
+        Phases come closer to 0 by the logarithm of it, as far as one step may move them.
         """
         values = dict(self._values)
         for name in self._fitted:
@@ -115,7 +115,7 @@ class ParametricPSF:
         return self._with_values(values) if self._fitted else self
 
     def widened(self, by: float) -> Self:
-        """A PSF of the same kind whose variance is larger by about the square of ``by`` (um)."""
+        """Return a PSF of the same kind, its variance larger by about ``by`` (um) squared."""
         values = dict(self._values)
         longer = float(np.hypot(1.0, by / geometric_mean(self.sigma_um)))
         for name, value in values.items():
@@ -126,11 +126,11 @@ class ParametricPSF:
         return self._with_values(values)
 
     def detach(self) -> Self:
-        """A copy that is no part of any gradient."""
+        """Return a copy detached from any gradient."""
         return self._with_values({name: v.detach() for name, v in self._values.items()})
 
     def _with_values(self, values: Mapping[str, Tensor]) -> Self:
-        """The same model, on the same nodes, with other values; what is kept is forgotten."""
+        """Return the model, on the same nodes, with other values and without cached results."""
         other = copy.copy(self)
         other._values = {s.name: values[s.name] for s in self._specs}
         other._forget()
@@ -138,13 +138,13 @@ class ParametricPSF:
         return other
 
     def _moving(self, names: Sequence[str]) -> Self:
-        """The same model as part of another, of which a fit moves parameters of these names."""
+        """Return the model as a part of another one, with only these parameters fitted."""
         other = self._with_values(self._values)
         other._fitted = tuple(name for name in self._values if name in names)
         return other
 
     def _adopt(self, values: Mapping[str, Tensor]) -> None:
-        """Hand the values on to the PSFs that this one is made of."""
+        """Pass the values on to the PSFs that this one is made of."""
 
     def _number(self, name: str) -> float:
         return float(self._values[name].detach())
@@ -157,10 +157,10 @@ class ParametricPSF:
         return True
 
     def otf(self, axes: Axes) -> Tensor:
-        """Optical transfer function at wavevector components that broadcast over a box (rad/um).
+        """Return the OTF at wavevector components (rad/um) that broadcast over a box.
 
         ``axes`` have the shapes (Kz, 1, 1), (1, Ky, 1) and (1, 1, Kx). The last result is kept
-        while no parameter asks for a gradient. The bits are the same for any number of threads.
+        while no parameter needs a gradient. The bits are the same for any number of threads.
         """
         if self._differentiable():
             return in_one_thread(lambda *v: self._of(v)._otf(axes), *self._values.values())
@@ -182,29 +182,29 @@ class ParametricPSF:
         raise NotImplementedError
 
     def width(self) -> tuple[float, float, float]:
-        """um along Z, Y, X: of a Gaussian that is about as wide."""
+        """Return the widths (um along Z, Y, X) of a Gaussian that is about as wide."""
         return self.sigma_um
 
     def support(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: the OTF is zero beyond."""
+        """Return wavenumbers (rad/um) along Z, Y, X beyond which the OTF is zero."""
         raise NotImplementedError
 
     @property
     def extent(self) -> tuple[float, float, float]:
-        """um along Z, Y, X: the PSF is zero beyond."""
+        """Distances (um) along Z, Y, X beyond which the PSF is zero."""
         raise NotImplementedError
 
     def reach(self, accuracy: float) -> tuple[float, float, float]:
-        """um along Z, Y, X: what lies beyond adds less than the accuracy to an image."""
+        """Return distances (um) by axis beyond which a PSF adds less than the accuracy."""
         if accuracy not in self._reach:
             with torch.no_grad(), one_thread():
                 self._reach[accuracy] = reach(self, accuracy)
         return self._reach[accuracy]
 
     def cutoff(self, blur: Triple = (0.0, 0.0, 0.0)) -> Cutoff:
-        """Where the OTF ends, with a further Gaussian blur (um) on top.
+        """Return where the OTF ends, with a further Gaussian blur (um).
 
-        The function of :func:`napari_deltamic.optics.spectrum.band_radius`.
+        This is :func:`napari_deltamic.optics.spectrum.band_radius` by error and falloff.
         """
 
         def found(error: float, falloff: Falloff) -> tuple[Triple, float]:

@@ -13,8 +13,8 @@ from .otf_table import _DENSER, TAPER, Extent, TablePSF, gauss_legendre, l2_widt
 from .parameters import Spec, plain
 from .zernike import NAMES, check_noll, zernike
 
-# Of resolution: extents that hold most of a PSF, and the most across: the time that a PSF takes
-# grows with the third power.
+# Units of resolution: extents that hold most of a PSF, and the largest extent across, since the
+# time that a PSF takes grows with its third power.
 _AXIAL_UNITS, _LATERAL_UNITS, _MOST_UNITS = 2.0, 4.0, 8.0
 
 
@@ -32,14 +32,14 @@ class PupilPSF(TablePSF):
         Numerical aperture; um, of the emitted light in vacuum; refractive index of the immersion.
         Numbers or tensors: the OTF is differentiable in all parameters.
     zernike
-        Noll index -> phase, rad (root mean square over the pupil); from 5 on, as tilt and defocus
+        Phases by Noll index, rad (root mean square over the pupil); from 5 on, as tilt and defocus
         are translations. They are the parameters ``z5``, ``z6``, ...
     apodisation
         0 for none.
     amplitude
-        Noll index -> logarithm of the amplitude, from 5 on: the parameters ``a5``, ``a6``, ...
+        Logarithms of the amplitude by Noll index, from 5 on: the parameters ``a5``, ``a6``, ...
     fitted
-        Names of the parameters that a fit moves; by default the Zernike coefficients.
+        Names of the parameters to fit; by default the Zernike coefficients.
     extent
         um along Z and across: the PSF is kept this far and falls to zero over as far again.
 
@@ -81,13 +81,13 @@ class PupilPSF(TablePSF):
         )
 
     def _bandwidth(self) -> tuple[float, float, float]:
-        """rad/um along Z, Y, X: of the intensity."""
+        """Return the bandwidth of the intensity, rad/um along Z, Y, X."""
         s, n = self._number("na"), self._number("index")
         k = 2 * pi / self._number("wavelength")
         return k * (n - sqrt(n * n - s * s)), 2 * k * s, 2 * k * s
 
     def _phase_range(self) -> float:
-        """rad: about how far the aberration runs from the middle of the pupil to its rim."""
+        """Return about how far (rad) the aberration runs from the pupil's middle to its rim."""
         return sum(4 * abs(self._number(f"z{j}")) for j in self._noll)
 
     def _default_extent(self) -> Extent:

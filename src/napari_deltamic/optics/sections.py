@@ -1,4 +1,4 @@
-"""Sections through the middle of a PSF, to be looked at."""
+"""Sections through the middle of a PSF, for display."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from . import Optics
 from .parametric_psf import Axes
 
-_WINDOW = 7.0  # of the largest width: what is shown
-_ROOM = 1.6  # of the window: what is computed, as the borders of a Fourier transform meet
+_WINDOW = 7.0  # side of what is shown, in largest widths
+_ROOM = 1.6  # side of what is computed, in windows: the borders of a Fourier transform meet
 _FINE = 2.5  # samples per width
 _FEWEST, _MOST = 32, 128  # samples along an axis
 
 
 @dataclass(frozen=True, eq=False)
 class Sections:
-    """The PSF in two planes through its middle, both of the same side.
+    """The PSF in two square planes of equal side through its middle.
 
-    xz, xy : (n, m) float64, largest value 1; rows along Z, or Y, columns along X.
-    side : um.
+    xz, xy : (n, m) float64, largest value 1; rows along Z or Y, columns along X.
+    side : of the squares, um.
     """
 
     xz: NDArray[np.float64]
@@ -43,7 +43,7 @@ def psf_sections(optics: Optics) -> Sections:
     whole = _ROOM * side
     counts = [int(np.clip(2 * ceil(_FINE * whole / s / 2), _FEWEST, _MOST)) for s in sigma]
     with torch.no_grad():
-        # Of a copy: a PSF keeps its last OTF, which a fit that runs may still need.
+        # On a copy: a PSF keeps its last OTF, which a running fit may still need.
         otf = optics.detach().otf(_axes(counts, whole)).to(torch.complex128)
         psf = torch.fft.fftshift(torch.fft.ifftn(otf).real).numpy()
     z, y, _ = (n // 2 for n in counts)
@@ -54,12 +54,12 @@ def psf_sections(optics: Optics) -> Sections:
 
 
 def _axes(counts: list[int], length: float) -> Axes:
-    """Wavevectors of a box, rad/um, with the shapes that an OTF takes."""
+    """Return the wavevectors of a box, rad/um, in the shapes that an OTF takes."""
     z, y, x = (2 * pi * torch.fft.fftfreq(n, length / n, dtype=torch.float64) for n in counts)
     return z.reshape(-1, 1, 1), y.reshape(1, -1, 1), x.reshape(1, 1, -1)
 
 
 def _middle(n: int) -> slice:
-    """The part of an axis that is shown, with the middle n // 2 in its middle."""
+    """Return the part of an axis that is shown, centred on n // 2."""
     half = int(n / _ROOM / 2)
     return slice(n // 2 - half, n // 2 + half + 1)

@@ -1,4 +1,4 @@
-"""Two PSFs as one, where a rendering is planned for both."""
+"""Two PSFs as one, if a rendering is planned for both."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 
 class Sharpest:
-    """What a plan needs to know of optics: as fine as either of two, and as far as either.
+    """Optics for a plan: as sharp as the sharper and as wide as the wider of two PSFs.
 
     Parameters
     ----------
     first, second
-        um; the second is Gaussian.
+        The two PSFs; the second is Gaussian.
     """
 
     def __init__(self, first: Optics, second: GaussianPSF) -> None:
@@ -32,19 +32,19 @@ class Sharpest:
         self.diagonal = first.diagonal and second.diagonal
 
     def reach(self, accuracy: float) -> Triple:
-        """um along Z, Y, X: of the wider one along each axis."""
+        """Return the reach (um) of the wider one along Z, Y, X."""
         return triple(np.maximum(self._first.reach(accuracy), self._second.reach(accuracy)))
 
     def width(self) -> Triple:
-        """um: of the sharper one along each axis."""
+        """Return the width (um) of the sharper one along Z, Y, X."""
         return triple(np.minimum(self._first.width(), self._second.width()))
 
     def otf(self, axes: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """The larger one of both |OTF| at each wavevector."""
+        """Return the larger |OTF| of both at each wavevector."""
         return torch.maximum(self._first.otf(axes).abs(), self._second.otf(axes).abs())
 
     def cutoff(self, blur: Triple = (0.0, 0.0, 0.0)) -> Cutoff | None:
-        """Where the OTF of both ends; None where both are Gaussian."""
+        """Return where the OTFs of both end; None if both are Gaussian."""
         first = self._first.cutoff(blur)
         if first is None:
             return None

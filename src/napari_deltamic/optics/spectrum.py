@@ -1,4 +1,4 @@
-"""What an OTF says of the band that an image needs, and of how far it reaches."""
+"""The band that an image needs, and how far a PSF reaches, from its OTF."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from torch import Tensor
 from ..common.triple import Triple
 from ..fourier.falloff import Falloff
 
-# An OTF that is not round meets the directions of a surface unevenly; seen to cost up to 1.8.
+# An OTF that is not round treats the directions of a surface unevenly; found to cost up to 1.8.
 _DIRECTIONS = 0.5
-_REACH_SHARE = 0.3  # of the accuracy: what may come round from the other side
+_REACH_SHARE = 0.3  # of the accuracy: what may wrap around from the other side
 _NODES = 24  # of half an axis
 _LARGEST = sqrt(3.0)  # scale of the ellipsoid that holds the box of the support
 
@@ -30,17 +30,17 @@ class _HasOTF(Protocol):
 def band_radius(
     optics: _HasOTF, blur: Triple, error: float, falloff: Falloff
 ) -> tuple[Triple, float]:
-    """The ellipsoid that holds all of an image but ``error`` (relative, L2).
+    """Return the ellipsoid that holds all of an image but ``error`` (relative, L2).
 
-    As :func:`napari_deltamic.fourier.falloff.band_error`; but the OTF is summed as it is, where it
-    need not fall as a Gaussian does.
+    Like :func:`napari_deltamic.fourier.falloff.band_error`, but sums the OTF as it is, as it need
+    not fall like a Gaussian.
 
     Parameters
     ----------
     blur
-        um along Z, Y, X: a further Gaussian on top.
+        A further Gaussian blur, um along Z, Y, X.
     error, falloff
-        Of the image; in widths of the blurred PSF.
+        Allowed error of the image; its falloff in widths of the blurred PSF.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def band_radius(
         min(k, sqrt(2 * log(1 / 1e-9)) / b if b > 0 else np.inf)
         for k, b in zip(optics.support(), blur, strict=True)
     ]
-    # Denser towards zero, where the OTF of a widefield PSF is a narrow peak.
+    # Nodes are denser towards zero, where the OTF of a widefield PSF is a narrow peak.
     t = (np.arange(_NODES) + 0.5) / _NODES
     half, half_weight = t**2, 2 * t / _NODES
     whole = np.concatenate([-half[::-1], half])
@@ -78,9 +78,9 @@ def band_radius(
 
 
 def reach(optics: _HasOTF, accuracy: float) -> Triple:
-    """um along Z, Y, X: beyond it a flat surface is seen by less than the accuracy (L2).
+    """Return distances (um) by axis beyond which a flat surface adds less than the accuracy (L2).
 
-    From the profile of the PSF summed over planes, which is how a flat surface is seen.
+    From the PSF summed over planes, which is the image of a flat surface.
     """
     found = []
     for axis, (k, extent) in enumerate(zip(optics.support(), optics.extent, strict=True)):
@@ -97,7 +97,7 @@ def reach(optics: _HasOTF, accuracy: float) -> Triple:
         even, odd = torch.cos(phase) @ otf.real, torch.sin(phase) @ otf.imag
         power = (2 * (even**2 + odd**2)).numpy()  # of both sides: (even + odd)^2 + (even - odd)^2
         beyond = np.sqrt(np.cumsum(power[::-1])[::-1] / power.sum())
-        # Never all of it: accuracy 0 asks for the extent.
+        # For accuracy 0 it is the whole extent.
         within = np.flatnonzero(beyond <= _REACH_SHARE * accuracy)
         found.append(float(x[within[0]]) if accuracy > 0 and len(within) else extent)
     z, y, x_reach = found

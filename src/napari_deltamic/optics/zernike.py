@@ -23,7 +23,7 @@ NAMES = {
     15: "oblique quadrafoil",
     22: "secondary spherical",
 }
-# Noll index -> why it is no parameter.
+# Why the polynomials with these Noll indices are no parameters.
 REFUSED = {
     1: "it changes no image",
     2: "a tilt of the pupil is a translation of the image: move the mesh",
@@ -34,7 +34,7 @@ _HIGHEST = 66
 
 
 def check_noll(index: int) -> None:
-    """InputError where a polynomial is no parameter of a PSF."""
+    """Raise InputError if a polynomial is no parameter of a PSF."""
     if index in REFUSED:
         raise InputError(f"Zernike {index} cannot be a parameter: {REFUSED[index]}")
     if not 5 <= index <= _HIGHEST:
@@ -42,7 +42,7 @@ def check_noll(index: int) -> None:
 
 
 def noll(index: int) -> tuple[int, int]:
-    """Radial order n and angular order m of a Noll index (m < 0: a sine)."""
+    """Return radial order n and angular order m of a Noll index (m < 0: a sine)."""
     n = 0
     first = 1
     while index >= first + n + 1:
@@ -54,7 +54,7 @@ def noll(index: int) -> tuple[int, int]:
 
 
 def zernike(index: int, y: Tensor, x: Tensor) -> Tensor:
-    """The polynomial, of mean square 1 over the disc, at points of the unit disc.
+    """Return the polynomial, of mean square 1 over the disc, at points of the unit disc.
 
     R. J. Noll, "Zernike polynomials and atmospheric turbulence", J. Opt. Soc. Am. 66, 1976; the
     angle is measured from the X axis towards Y.

@@ -1,4 +1,4 @@
-"""What a batch has found so far: one row an image, and the cells of all images in one table."""
+"""Tables of what a batch has found so far: one row an image, and the cells of all images."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from ..common.table import Value, csv_text
 from ..common.writing import write_atomically
 
 SUMMARY, CELLS, FAILED = "summary.csv", "cells.csv", "failed.txt"
-DONE = "report.json"  # comes last among the results of a fit
+DONE = "report.json"  # written last among the results of a fit
 _COLUMNS = ("name", "image", "status", "cells", "explained", "iterations", "loss", "message")
 
 
 def is_done(folder: Path) -> bool:
-    """Whether the results of a fit are all there."""
+    """Whether all results of a fit are there."""
     return (folder / DONE).is_file() and (folder / "measurements.csv").is_file()
 
 
 def write_tables(folder: Path, jobs: Sequence[tuple[str, str]]) -> list[Path]:
     """Write ``summary.csv`` and ``cells.csv`` from what lies in the folder.
 
-    They say nothing of when and in which order fits were made: the same fits give the same text.
+    They do not say when and in which order fits were made: the same fits give the same text.
 
     Parameters
     ----------
     folder
-        With a folder for each job.
+        Holds a folder of results for each job.
     jobs
         Name and image of each, in the order of the rows.
 

@@ -1,4 +1,4 @@
-"""The columns of the table of cells: those of the measurements, as a user reads them."""
+"""The columns of the table of cells: those of the measurements, as they are shown to a user."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _TITLES = {
     "gaussian_curvature_integral": "Gaussian curvature integral",
 }
 _SHARES = ("explained",)
-_ERROR_DIGITS = 2  # an error is not known better
-# Those that are shown until the user chooses others.
+_ERROR_DIGITS = 2  # errors are not known more precisely
+# The columns that are shown until the user chooses others.
 FIRST = (
     "region",
     "volume_um3",
@@ -39,11 +39,11 @@ _RESIDUAL = Column(
 
 @dataclass(frozen=True)
 class CellColumn:
-    """A column as it is shown.
+    """A column as it is shown in the table.
 
-    key : of the rows.
-    title : with its unit in a line of its own.
-    tip : what it is, in a sentence.
+    key : of its values in the rows.
+    title : its name, with the unit on a line of its own.
+    tip : a sentence that says what it holds.
     """
 
     key: str
@@ -52,11 +52,11 @@ class CellColumn:
 
     @property
     def name(self) -> str:
-        """The title in one line."""
+        """The title on one line."""
         return self.title.replace("\n", ", ")
 
     def text(self, value: Any) -> str:
-        """A value of it, as it is shown; '-' for none."""
+        """Return a value as it is shown; '-' for none."""
         if isinstance(value, str):
             return value
         if not is_number(value):
@@ -73,12 +73,12 @@ class CellColumn:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is one that can be sorted and drawn."""
+    """Whether a value is a number, which can be sorted and plotted."""
     return isinstance(value, int | float) and isfinite(value)
 
 
 def value_of(row: Mapping[str, Any], key: str) -> Any:
-    """The value of a row; None where it has none."""
+    """Return the value of a row in a column; None if it has none."""
     value = row.get(key)
     return None if isinstance(value, float) and not isfinite(value) else value
 
@@ -92,7 +92,7 @@ def _shown(column: Column) -> CellColumn:
 
 
 def columns_in(length: str) -> tuple[CellColumn, ...]:
-    """All columns, with titles for lengths in µm, or in voxels where their size is not known."""
+    """Return all columns, titled for lengths in µm, or in voxels if their size is not known."""
     return tuple(replace(one, title=one.title.replace("µm", length)) for one in COLUMNS)
 
 

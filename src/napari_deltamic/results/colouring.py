@@ -23,8 +23,8 @@ COLOURS = (
     (255, 120, 40),
     (120, 255, 255),
 )
-_SHADES = ((0.45, 255), (0.45, 0))  # so much of white, or of black, in them
-# The colours, then the same lighter and darker: only where a region has many neighbours.
+_SHADES = ((0.45, 255), (0.45, 0))  # share of white, or of black, mixed in
+# The colours, then lighter and darker ones: used only where a region has many neighbours.
 PALETTE: tuple[tuple[int, int, int], ...] = COLOURS + tuple(
     (round(r + part * (to - r)), round(g + part * (to - g)), round(b + part * (to - b)))
     for part, to in _SHADES
@@ -32,20 +32,20 @@ PALETTE: tuple[tuple[int, int, int], ...] = COLOURS + tuple(
 )
 
 Graph = Mapping[int, set[int]]
-_VOXELS = 2e6  # of more, some are left out where labels are asked who touches whom
+_VOXELS = 2e6  # in larger arrays of labels, only every second, third... voxel is looked at
 
 
 def plain_index(region: int) -> int:
-    """The place in the palette of a region without neighbours."""
+    """Return the index in the palette of a region without neighbours."""
     return (region - 1) % len(COLOURS)
 
 
 def colour_indices(*meshes: Mesh) -> dict[int, int]:
-    """Places in :data:`PALETTE`: no two regions that are neighbours in any mesh share one.
+    """Return an index in :data:`PALETTE` for each region; neighbours in any mesh differ.
 
     Neighbours have a wall in common, or boxes that overlap, as vesicles that touch do. Each region
-    keeps the colour of its number where it can. Where a region has more neighbours than there are
-    colours, those with which it has no wall may share its own.
+    keeps the colour of its number where it can. If a region has more neighbours than there are
+    colours, those with which it shares no wall may have its colour.
     """
     walls: dict[int, set[int]] = {}
     near: dict[int, set[int]] = {}
@@ -60,9 +60,9 @@ def colour_indices(*meshes: Mesh) -> dict[int, int]:
 
 
 def label_indices(labels: NDArray[np.integer]) -> dict[int, int]:
-    """The same for labels (Z, Y, X): no two that touch share a colour; 0 is none.
+    """Return the same for labels (Z, Y, X): labels that touch get different colours; 0 is no label.
 
-    In a large array not all voxels are looked at: labels of a few voxels may be left out.
+    In a large array not all voxels are looked at: labels of a few voxels may be missed.
     """
     step = max(1, round(float(np.cbrt(labels.size / _VOXELS))))
     few = np.asarray(labels)[::step, ::step, ::step]
@@ -72,12 +72,12 @@ def label_indices(labels: NDArray[np.integer]) -> dict[int, int]:
 
 
 def colour_of(region: int, indices: Mapping[int, int]) -> tuple[int, int, int]:
-    """RGB of a region; that of its number where it is not among the indices."""
+    """Return the RGB of a region; that of its number if it is not among the indices."""
     return PALETTE[indices.get(region, plain_index(region))]
 
 
 def _chosen(regions: Sequence[int], walls: Graph, near: Graph) -> dict[int, int]:
-    """Colours for ascending regions; those with a wall in common differ."""
+    """Choose colours for ascending regions; those with a wall in common differ."""
     found: dict[int, int] = {}
     for region in regions:
         found[region] = _free(region, found, walls.get(region, set()), near.get(region, set()))
@@ -90,7 +90,7 @@ def _chosen(regions: Sequence[int], walls: Graph, near: Graph) -> dict[int, int]
 
 
 def _smallest_last(regions: Sequence[int], walls: Graph) -> list[int]:
-    """Ordered so that each has few neighbours before it: 13 or so in a foam of any size."""
+    """Order regions so that each has few neighbours before it: about 13 in a foam of any size."""
     left = {region: set(walls.get(region, ())) for region in regions}
     order = []
     while left:
@@ -118,7 +118,7 @@ def _join(graph: dict[int, set[int]], pairs: Iterable[Sequence[int]]) -> None:
 
 
 def _boxes(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Regions (R,), and the corners of the boxes around them, (R, 3) each, um."""
+    """Return regions (R,) and the lowest and highest corners of their boxes, (R, 3) um each."""
     a, b, c = mesh.vertices_numpy()[mesh.faces.T]
     sides = np.concatenate([mesh.regions[:, 0], mesh.regions[:, 1]])
     order = np.argsort(sides, kind="stable")

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 
 def features_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
-    """Rows of cells as features of a Labels layer, one for each label; empty columns are left out.
+    """Convert rows of cells to the features of a Labels layer; empty columns are left out.
 
-    The column ``index`` is what napari takes for the label.
+    napari reads the label of each row from the column ``index``.
     """
     table = list(rows)
     found: dict[str, NDArray[Any]] = {
@@ -30,7 +30,7 @@ def features_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
 def features_at(
     rows: Iterable[Mapping[str, Any]], regions: NDArray[np.int64]
 ) -> dict[str, NDArray[Any]]:
-    """The same for the vertices of a Surface layer, of which each lies on a cell."""
+    """Convert them to features of a Surface layer, whose vertices lie on cells ``regions`` (V,)."""
     features = features_of(rows)
     index = features.pop("index")
     order = np.argsort(index)
@@ -41,6 +41,6 @@ def features_at(
     known = index[row] == regions
     found: dict[str, NDArray[Any]] = {"cell": regions}
     for name, values in features.items():
-        if values.dtype.kind == "f":  # words would take much memory, a copy for each vertex
+        if values.dtype.kind == "f":  # texts would take much memory, with a copy for each vertex
             found[name] = np.where(known, values[row], np.nan)
     return found

@@ -1,7 +1,7 @@
 """A page about one measured result: pictures, histograms, tables, settings, versions, citation.
 
-One file without scripts and without links to other files. Histograms are drawn as SVG here: bars
-need no plotting library, and so the page looks the same wherever it is made.
+One file without scripts or links to other files. Histograms are drawn as SVG here: bars need no
+plotting library, and the page then looks the same wherever it is made.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .measured_source import Measurable
 from .picture import picture_png
 from .report import PACKAGES
 
-# What the page shows of the tables; the CSV files hold the rest.
+# The columns that the page shows; the CSV files hold the rest.
 _SHOWN = {
     "cells": (
         "region", "volume_um3", "volume_se_um3", "area_um2", "sphericity", "n_contacts",
@@ -65,7 +65,7 @@ pre { overflow-x: auto; font-size: 12px } @media print { details { display: none
 
 
 def html_page(source: Measurable, measured: Measurements) -> str:
-    """The page, as text; the same source gives the same text."""
+    """Return the page as text; the same source gives the same text."""
     title = f"Measurements of {source.name}"
     parts = [
         f"<h1>{escape(title)}</h1>",
@@ -89,7 +89,7 @@ def html_page(source: Measurable, measured: Measurements) -> str:
 
 
 def _verdict(source: Measurable, measured: Measurements) -> str:
-    """What was found, how the fit ended, and its caveats."""
+    """Say what was found, how the fit ended, and its caveats."""
     cells, walls, junctions = (len(table.rows) for table in measured.tables)
     lines = [f"{cells} cells, {walls} walls, {junctions} junctions"]
     facts = source.facts
@@ -118,7 +118,7 @@ def _mean(values: Iterable[Any]) -> float | None:
 
 
 def _picture(source: Measurable) -> str:
-    """Measured slices with contours, and the rendered ones where there are any."""
+    """Draw measured slices with contours, and rendered ones if there are any."""
     if source.image is None or source.grid is None:
         return ""
     image = np.asarray(source.image)
@@ -141,7 +141,7 @@ def _histograms(measured: Measurements) -> list[str]:
 
 
 def _histogram(values: np.ndarray, title: str) -> str:
-    """Bars of equal width from the smallest to the largest value, as SVG."""
+    """Draw bars of equal width from the smallest to the largest value, as SVG."""
     low, high = float(values.min()), float(values.max())
     whole = bool((values == np.rint(values)).all()) and high - low < _BARS
     if whole:
@@ -170,7 +170,7 @@ def _histogram(values: np.ndarray, title: str) -> str:
 
 
 def _table(table: Table) -> str:
-    """The columns to show that hold anything; more rows than fit are in the CSV file."""
+    """Return the shown columns that hold anything; rows that do not fit are in the CSV file."""
     shown = [c for c in table.columns if c.name in _SHOWN[table.name]]
     shown = [c for c in shown if any(v not in (None, "") for v in table.values(c.name))]
     if not table.rows:

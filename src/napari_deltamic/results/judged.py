@@ -1,4 +1,4 @@
-"""How good a finished fit is, and each of its cells, and what it left out."""
+"""Judges a finished fit: how good it and each of its cells are, and what it left out."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from ..measure.of_fit import known_of
 from ..runs.track_run import TrackRun
 from ..tracking import FrameResult, TrackState, track
 
-_LISTED = 6  # cells, at most; of more it is told how many they are
+_LISTED = 6  # cells named in a sentence; if there are more, only their number is told
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """How good the end of a fit is, and each of its cells.
+    """How good the end of a fit and each of its cells are.
 
-    found : what it leaves unexplained.
-    cells : all that is measured, by region.
-    strays : bright things of the image that have no cell.
+    found : what the fit leaves unexplained.
+    cells : all measurements of each cell, by region.
+    strays : bright things in the image that have no cell.
     """
 
     found: Residual
@@ -58,14 +58,14 @@ class Compared:
 
 
 class Spread:
-    """The noise of a measured image, looked at once; used by one thread at a time."""
+    """The noise of a measured image, estimated only once; used by one thread at a time."""
 
     def __init__(self) -> None:
         self._of: Any = None
         self._variance: Variance | None = None
 
     def variance(self, job: FitInput) -> Variance:
-        """Of a voxel of the image of a job, from its expected value."""
+        """Return the function from a voxel's expected value to its variance, for a job's image."""
         if self._variance is None or self._of is not job.image:
             pixels, known = check_image(job.image, job.grid)
             self._of, self._variance = job.image, voxel_variance(job.image, pixels, known)
@@ -73,13 +73,13 @@ class Spread:
 
 
 def compared(rendered: NDArray[np.float32], job: FitInput, spread: Spread) -> Compared:
-    """An image that is rendered already, with the measured one."""
+    """Compare an image that is rendered already with the measured one."""
     noise = np.sqrt(spread.variance(job)(rendered))
     return Compared(rendered, ((job.image - rendered) / noise).astype(np.float32))
 
 
 def judge(state: FitState, job: FitInput, spread: Spread) -> Compared:
-    """The images of the end of a fit, and where they do not agree."""
+    """Render the end of a fit, compare it with the measured image, and judge it."""
     rendered = state.rendered()
     given = state.showing(rendered)
     variance = spread.variance(job)
@@ -95,17 +95,17 @@ def judge(state: FitState, job: FitInput, spread: Spread) -> Compared:
 def judged_frame(
     done: FrameResult, state: FitState, job: FitInput, image: NDArray[Any], before: Mesh
 ) -> FrameResult:
-    """A tracked frame with its grade.
+    """Return a tracked frame with its grade.
 
     Parameters
     ----------
-    state : the last of its fit.
+    state : the last state of its fit.
     job : the fit of the first frame.
     image : (Z, Y, X) of the frame.
-    before : what its fit began with.
+    before : the mesh that its fit began with.
     """
     counted = None
-    if job.kind == "image":  # as tracking does: other cells lie beside those with a seed
+    if job.kind == "image":  # as tracking does, since other cells lie beside those with a seed
         counted = counted_voxels(image, job.grid, before, state.optics)
     seen, _ = without_hot(image)
     own = replace(job, image=seen, mesh=before, counted=counted)
@@ -165,7 +165,7 @@ def _graded(
 def _measured(
     state: FitState, job: FitInput, found: Residual, verdict: Verdict
 ) -> dict[int, dict[str, Any]]:
-    """All that is measured on each cell, and how well it is explained."""
+    """Return all measurements of each cell, and how well it is explained."""
     judgements = verdict.by_region()
     about = known_of(state, job.grid, explained=found.shares(), judgements=judgements)
     table = measure(state.mesh, about).cells
@@ -177,9 +177,9 @@ def _measured(
 
 
 def told(known: Judged, length: str = "µm", *, stopped: bool = False) -> str:
-    """The grade, how much of the image the cells explain, and why it is no better.
+    """Say the grade, how much of the image the cells explain, and why it is not better.
 
-    length : what lengths are in: µm, or voxels where their size is not known.
+    length : unit of lengths: µm, or voxels if their size is not known.
     stopped : whether a user has stopped the fit.
     """
     verdict: Verdict = known.verdict
@@ -194,9 +194,9 @@ def told(known: Judged, length: str = "µm", *, stopped: bool = False) -> str:
         much = f"{off:.2g} voxels" if length == "voxels" else f"{1000 * off:.0f} nm"
         text += f"; they are off by about {much}"
     text += "."
-    if stopped:  # the reasons are those of a fit on its way
+    if stopped:  # the reasons would be those of an unfinished fit
         return f"{text} Continue it, or start from better cells."
-    # How much is explained is told already, and the cells have reasons of their own.
+    # How much is explained is said already, and the cells have reasons of their own.
     reasons = [r.text for r in verdict.reasons if r.kind not in ("explained", "cells")]
     if any(reason.kind == "cells" for reason in verdict.reasons):
         reasons.append(f"{_of_cells(verdict)}: the table says why")
@@ -207,7 +207,7 @@ def told(known: Judged, length: str = "µm", *, stopped: bool = False) -> str:
 
 
 def _of_cells(verdict: Verdict) -> str:
-    """Which cells are fair and which are poor; where they are many, how many."""
+    """Say which cells are fair and which are poor, or how many if they are many."""
     told_of = []
     for grade in ("fair", "poor"):
         regions = [cell.region for cell in verdict.cells if cell.grade == grade]

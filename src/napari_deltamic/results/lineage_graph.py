@@ -1,7 +1,8 @@
 """Tracked cells as a graph in the GEFF format, which trackers and lineage viewers read.
 
-One node for each cell in each frame: place, number, sizes, and the ellipsoid like it; one edge from
-each to what becomes of it, two where it divides. The format: https://liveimagetrackingtools.org/geff
+One node for each cell in each frame: place, number, sizes, and the ellipsoid with its moments; one
+edge from each to itself in its next frame, two to its daughters where it divides. The format:
+https://liveimagetrackingtools.org/geff
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _MEASURES = ("volume_um3", "area_um2", "sphericity")
 
 
 def write_geff(path: str | os.PathLike[str], results: Sequence[FrameResult]) -> Path:
-    """Write tracks as a GEFF folder; one that is there is replaced once the new one is whole.
+    """Write tracks as a GEFF folder; an existing one is replaced once the new one is complete.
 
     Nodes have ``t`` (frame), ``z``, ``y``, ``x`` (um), ``seg_id`` (the cell's number, as in labels
     and meshes), ``time_s``, ``volume_um3``, ``area_um2``, ``sphericity`` and ``ellipsoid``: the
@@ -58,7 +59,7 @@ def write_geff(path: str | os.PathLike[str], results: Sequence[FrameResult]) -> 
         "track_node_props": {"tracklet": "seg_id"},
     }
     with folder_atomically(path) as aside, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of zarr, on what it makes of names and versions
+        warnings.simplefilter("ignore")  # zarr warns about names and versions
         write_arrays(
             aside,
             np.arange(len(nodes["seg_id"]), dtype=np.uint64),
@@ -71,7 +72,7 @@ def write_geff(path: str | os.PathLike[str], results: Sequence[FrameResult]) -> 
 
 
 def _graph(results: Sequence[FrameResult]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Properties of the nodes, (N, ...) each, and pairs of nodes (E, 2), earlier ones first."""
+    """Return properties of the nodes, (N, ...) each, and pairs of nodes (E, 2), earlier first."""
     rows: list[tuple[float, ...]] = []
     matrices: list[np.ndarray] = []
     numbers: dict[int, list[int]] = {}  # the nodes of each cell
@@ -81,7 +82,7 @@ def _graph(results: Sequence[FrameResult]) -> tuple[dict[str, np.ndarray], np.nd
         spread = moments(Sides.of(result.mesh))[2]
         for cell, covariance in zip(measure_cells(result.mesh), spread, strict=True):
             if not np.isfinite(covariance).all():
-                continue  # open: it has no place
+                continue  # an open surface has no centre
             numbers.setdefault(int(cell["region"]), []).append(len(rows))
             place = [float(cell[f"centroid_{axis}_um"]) for axis in "zyx"]
             sizes = [float(cell[name]) for name in _MEASURES]

@@ -1,4 +1,4 @@
-"""What measuring leaves on disk: tables, meshes with their numbers, labels."""
+"""Writes what was measured: tables, meshes with their numbers, labels."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write_measurements(
     """Write what was measured on a mesh; files of the same names are replaced, all or none.
 
     ``cells.csv``, ``walls.csv`` and ``junctions.csv`` (units in the headers); ``cells.vtk`` and
-    ``cells.ply`` (every cell for itself) and ``walls.vtk`` and ``walls.ply`` (one mesh, walls
+    ``cells.ply`` (every cell a closed surface) and ``walls.vtk`` and ``walls.ply`` (one mesh, walls
     shared) with the numbers of their tables on each face; ``labels.ome.tif``, if a voxel size is
     known; ``measurements.html``, if there is a page.
 
@@ -43,13 +43,13 @@ def write_measurements(
     folder
         Made if it is not there.
     grid
-        Of the image; labels then fill the same block of space.
+        Of the image; labels then fill the same volume.
     voxel_size
         um, of the labels; by default that of the image.
     page
-        As from :func:`~.html_page.html_page`.
+        Text of the page, from :func:`~.html_page.html_page`; empty for none.
     further
-        Tables besides, as those of another channel.
+        Further tables, such as those of another channel.
     images
         By name, on the voxels of the grid: written beside the labels.
     image_suffix
@@ -62,7 +62,7 @@ def write_measurements(
     Raises
     ------
     InputError
-        If the voxel size cannot be, or the folder or a file cannot be written.
+        If the voxel size is impossible, or the folder or a file cannot be written.
     """
     folder = Path(folder)
     size = voxel_size or (None if grid is None else grid.voxel_size)

@@ -1,4 +1,4 @@
-"""The files that measuring leaves; free of the engine, so that the command line knows them too."""
+"""Names of the files that measuring writes; imports nothing heavy, for the command line."""
 
 # In the order in which they are written.
 MEASURED = (
@@ -12,7 +12,7 @@ MEASURED = (
     "labels.ome.tif",
     "measurements.html",
 )
-# Only where they are asked for, or of tracks.
+# Written only where they are asked for, or for tracks.
 FURTHER = (
     "channel_walls.csv",
     "channel_cells.csv",

@@ -1,4 +1,4 @@
-"""What can be measured: a mesh file, a session, or the folder of a fit."""
+"""Reads what can be measured: a mesh file, a session, or the folder of a fit."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from .session_file import EXTENSION, load_session
 
 _T = TypeVar("_T")
 _FLAG = described(RunSettings)["channel"].flag
-# um, of a whole mesh: chosen, as no light microscope shows what is smaller, and none takes in more.
+# Size of a whole mesh, um; chosen: no light microscope shows smaller things or sees larger ones.
 _SMALLEST, _LARGEST = 0.05, 1e5
 
 
 @dataclass(frozen=True, eq=False)
 class Measurable:
-    """A mesh, and what is known besides.
+    """A mesh, and what else is known.
 
     name : of the file or folder.
-    grid, image : of what it was fitted to, where that is known.
-    rendered : (Z, Y, X) the image that the fit expects; None where it is not known.
-    sigma : um, Z Y X; widths of the PSF, where they are known.
-    facts : what to say of the fit: settings, verdict, versions; plain values.
-    remarks : what could not be found, a sentence each.
-    file : of the image; "" where it is in none.
+    grid, image : those that it was fitted to, if known.
+    rendered : (Z, Y, X) the image that the fit expects; None if not known.
+    sigma : um, Z Y X; widths of the PSF, if known.
+    facts : plain values about the fit: settings, verdict, versions.
+    remarks : a sentence for each thing that could not be found.
+    file : path of the image; "" if it is in no file of its own.
     """
 
     name: str
@@ -72,11 +72,11 @@ def measurable(
     path
         A mesh file, a session (.deltamic), or the folder that ``fit`` wrote.
     image
-        That a mesh was fitted to, where the source does not hold it.
+        The image that a mesh was fitted to, if the source does not hold it.
     voxel_size
-        um, of that image, where its file does not say it.
+        um, of that image, if its file does not say it.
     errors
-        Whether standard errors are computed, which takes about as long as a fit. A session alone
+        Whether standard errors are computed, which takes about as long as a fit. Only a session
         holds what they need.
     channel
         Of that image, by number or name; None for the one that was fitted, or the only one.
@@ -114,7 +114,7 @@ def _with_image(
     voxel_size: Triple | None,
     channel: str | None = None,
 ) -> Measurable:
-    """With the grid of an image; the mesh counts from the centre of its first voxel."""
+    """Add an image and its grid; the mesh's origin is taken to be the centre of its first voxel."""
     if image is None:
         return _without_image(found)
     pixels, stored = read_image(image, channel, _FLAG)
@@ -158,7 +158,7 @@ def _of_folder(
         found = replace(found, remarks=(f"the image {source} no longer exists",))
         if rendered is None:
             return _without_image(found)
-        shape = rendered.shape  # as that of the image was
+        shape = rendered.shape  # the measured image had the same
     else:
         pixels = read_image(source, channel or settings.channel, _FLAG)[0]
         pixels = finite_or_nan(without_padding(pixels)[0])
@@ -209,7 +209,7 @@ def _of_session(path: Path, errors: bool) -> Measurable:
 
 
 def _check_near(mesh: Mesh, grid: Grid) -> None:
-    """InputError where mesh and image do not even touch: another image, or another unit."""
+    """InputError if mesh and image do not even touch: it is another image, or another unit."""
     low, high = mesh.bounds()
     first, last = grid.extent
     if (high < first).any() or (low > last).any():
@@ -217,7 +217,7 @@ def _check_near(mesh: Mesh, grid: Grid) -> None:
 
 
 def _about_unit(mesh: Mesh) -> tuple[str, ...]:
-    """A remark on a mesh whose numbers can hardly be um."""
+    """Return a remark on a mesh whose numbers can hardly be um; nothing for others."""
     low, high = mesh.bounds()
     widest = float((high - low).max())
     if _SMALLEST <= widest <= _LARGEST:
@@ -226,7 +226,7 @@ def _about_unit(mesh: Mesh) -> tuple[str, ...]:
 
 
 def _report(path: Path) -> dict[str, Any]:
-    """What a fit said of itself; nothing where the file is missing or damaged."""
+    """Return the report of a fit; empty if the file is missing or damaged."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -235,7 +235,7 @@ def _report(path: Path) -> dict[str, Any]:
 
 
 def _told(read: Callable[[Any], dict[int, _T]], section: Any) -> dict[int, _T]:
-    """What a section of a report tells of each cell; nothing where it is damaged."""
+    """Read what a section of a report says about each cell; empty if it is damaged."""
     try:
         return read(section)
     except (TypeError, ValueError):
@@ -243,7 +243,7 @@ def _told(read: Callable[[Any], dict[int, _T]], section: Any) -> dict[int, _T]:
 
 
 def _widths(optics: Any) -> Triple | None:
-    """The PSF's widths that a report tells; None where it does not."""
+    """Return the PSF's widths from a report; None if it has none."""
     sigma = optics.get("sigma_um") if isinstance(optics, dict) else None
     try:
         z, y, x = (float(s) for s in sigma or ())
@@ -253,7 +253,7 @@ def _widths(optics: Any) -> Triple | None:
 
 
 def _explained(residual: Any) -> dict[int, float]:
-    """Share explained around each cell, from a report."""
+    """Return the share explained around each cell, from a report."""
     cells = residual.get("cells") if isinstance(residual, dict) else None
     return {
         int(cell["region"]): float(cell["explained"])
@@ -263,7 +263,7 @@ def _explained(residual: Any) -> dict[int, float]:
 
 
 def _judgements(verdict: Any) -> dict[int, Judgement]:
-    """How good the shape of each cell is, from a report."""
+    """Return how good the shape of each cell is, from a report."""
     cells = verdict.get("cells") if isinstance(verdict, dict) else None
     found = {}
     for cell in cells or ():

@@ -1,4 +1,4 @@
-"""Measured meshes for other tools: attributes of faces, cells apart, labels at any voxel size."""
+"""Measured meshes for other tools: face attributes, separate cells, labels at any voxel size."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from ..measure import Measurements, Table
 from ..measure.sides import Sides
 from ..scene import Grid
 
-_MARGIN = 2  # voxels around a mesh that comes without an image
+_MARGIN = 2  # voxels around a mesh without an image
 _ROUNDING = 1e-6  # um
 _MOST_VOXELS = 4_000_000_000  # a typing error in a voxel size should not fill the memory
 
 
 def wall_attributes(mesh: Mesh, measured: Measurements) -> dict[str, FloatArray]:
-    """Every number of the table of walls, (F,) each, for the faces of the mesh; NaN for none."""
+    """Return the numbers of the table of walls for each face, (F,) by name; NaN for none."""
     _, wall = mesh.interfaces()
     found = _numbers(measured.walls, ("region_a", "region_b"))
     return {"wall": wall.astype(np.float64)} | {k: v[wall] for k, v in found.items()}
 
 
 def cells_apart(mesh: Mesh, measured: Measurements) -> tuple[Mesh, dict[str, FloatArray]]:
-    """Each cell as a closed surface of its own, and the numbers of its row for its faces.
+    """Make each cell a closed surface of its own, with the numbers of its row on its faces.
 
-    Walls between two cells are there twice, and no vertex belongs to two cells: what tools expect
-    that know no shared walls.
+    Walls between two cells are there twice, and no vertex belongs to two cells, as tools expect
+    that have no shared walls.
     """
     sides = Sides.of(mesh)
     corners = mesh.faces[sides.face]
@@ -43,10 +43,10 @@ def cells_apart(mesh: Mesh, measured: Measurements) -> tuple[Mesh, dict[str, Flo
 
 
 def labels_grid(mesh: Mesh, voxel_size: tuple[float, float, float], image: Grid | None) -> Grid:
-    """Where the voxels of a label image lie.
+    """Return the grid of a label image.
 
-    With the grid of an image: the same block of space in other voxels. Without: around the mesh,
-    with voxel centres at whole multiples of the voxel size, from 0 on if the mesh begins there.
+    With the grid of an image: the same volume in other voxels. Without: around the mesh, with voxel
+    centres at whole multiples of the voxel size, from 0 on if the mesh begins there.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def labels_grid(mesh: Mesh, voxel_size: tuple[float, float, float], image: Grid 
 
 
 def about_place(labels: Grid, image: Grid | None) -> str:
-    """Where a label image begins, if not where the mesh counts from; "" if it does."""
+    """Say where a label image begins if not at the origin of the mesh; "" if it does."""
     start = (0.0, 0.0, 0.0) if image is None else image.origin
     if np.allclose(labels.origin, start, rtol=0, atol=_ROUNDING):
         return ""
@@ -81,9 +81,9 @@ def about_place(labels: Grid, image: Grid | None) -> str:
 
 
 def labels_of(mesh: Mesh, grid: Grid) -> NDArray[np.integer]:
-    """(Z, Y, X) the cell in which each voxel's centre lies; the smallest type that holds it.
+    """Return (Z, Y, X) the cell in which each voxel's centre lies, in the smallest sufficient type.
 
-    Open cells have no inside, and are left out.
+    Open cells have no inside and are left out.
     """
     closed = [int(k) for k in mesh.region_ids() if mesh.is_closed(int(k))]
     if not closed:
@@ -99,7 +99,7 @@ def labels_of(mesh: Mesh, grid: Grid) -> NDArray[np.integer]:
 
 
 def _numbers(table: Table, without: tuple[str, ...]) -> dict[str, FloatArray]:
-    """The columns of numbers that have any, (rows,) each; NaN for empty cells."""
+    """Return the columns that hold numbers, (rows,) each; NaN for empty cells."""
     found = {}
     for column in table.columns:
         values = table.values(column.name)

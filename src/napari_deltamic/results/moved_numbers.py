@@ -1,4 +1,4 @@
-"""The numbers of the PSF and of the effects that a fit moves: at its start, and now."""
+"""The numbers of the PSF and of the effects that a fit changes: at its start, and now."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .report import effects_found
 
 @dataclass(frozen=True)
 class MovedNumber:
-    """A number that a fit moves; ``start`` is None where it had none."""
+    """A number that a fit changes; ``start`` is None if it had no value before."""
 
     name: str
     unit: str
@@ -21,13 +21,13 @@ class MovedNumber:
 
     @property
     def texts(self) -> tuple[str, str, str]:
-        """Name, start and now, as they are shown."""
+        """Name, start and present value, as they are shown."""
         start = "-" if self.start is None else f"{self.start:.4g}"
         return self.name, start, f"{self.now:.4g} {self.unit}".strip()
 
 
 def moved_numbers(state: FitState, job: FitInput) -> list[MovedNumber]:
-    """Numbers that the fit of a job moves: of the PSF, and of the effects."""
+    """Return the numbers that the fit of a job changes: of the PSF, and of the effects."""
     found = []
     if isinstance(state.optics, GaussianPSF):
         pairs = zip("zyx", job.optics.sigma_um, state.optics.sigma_um, strict=True)

@@ -1,4 +1,4 @@
-"""A picture of a result: slices of the measured image with contours, the rendered ones below."""
+"""A picture of a result: measured slices with contours, and rendered slices below."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ..measure import section
 from ..scene import Grid
 from .colouring import colour_indices, colour_of
 
-if TYPE_CHECKING:  # matplotlib takes half a second to load: only where something is drawn
+if TYPE_CHECKING:  # matplotlib takes half a second to load: done only when something is drawn
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH = 1280  # px, about; more where an image is finer
+WIDTH = 1280  # px, about; more if an image is finer
 MIN_WIDTH, MAX_WIDTH, MAX_HEIGHT = 920, 2600, 2000
 _DPI = 100
 _GAP, _TITLE, _TITLE_WIDTH = 6, 22, 210  # px; a title needs room, however narrow its panel
@@ -30,7 +30,7 @@ _BACKGROUND, _MISSING, _TEXT = "#181818", "#32003c", "#ebebeb"
 
 @dataclass(frozen=True)
 class _Slice:
-    """A plane through the middle of a layer of voxels: the axis across it, and which layer."""
+    """A plane through the middle of a layer of voxels, perpendicular to an axis."""
 
     axis: int
     index: int
@@ -88,7 +88,7 @@ def picture(image: ArrayLike, rendered: ArrayLike, mesh: Mesh, grid: Grid) -> Fi
 
 
 def picture_png(image: ArrayLike, rendered: ArrayLike, mesh: Mesh, grid: Grid) -> bytes:
-    """``picture`` as the content of a PNG file."""
+    """Return ``picture`` as the content of a PNG file."""
     buffer = io.BytesIO()
     picture(image, rendered, mesh, grid).savefig(buffer, format="png")
     return buffer.getvalue()
@@ -112,7 +112,7 @@ def _others(axis: int) -> list[int]:
 
 
 def _scale(slices: Sequence[_Slice], grid: Grid) -> float:
-    """px per um, the same for all panels."""
+    """Return px per um, the same for all panels."""
     width = sum(_size(s, grid)[1] for s in slices)
     finest = len(slices) * grid.shape[2]
     wanted = float(np.clip(max(WIDTH, finest), MIN_WIDTH, MAX_WIDTH)) / width
@@ -121,7 +121,7 @@ def _scale(slices: Sequence[_Slice], grid: Grid) -> float:
 
 
 def _size(cut: _Slice, grid: Grid) -> NDArray[np.float64]:
-    """um: height and width."""
+    """Return height and width, um."""
     size: NDArray[np.float64] = np.array(grid.shape) * np.asarray(grid.voxel_size)
     return size[_others(cut.axis)]
 

@@ -1,4 +1,4 @@
-"""What a fit leaves on disk: mesh, rendered image, measurements, settings, report, picture."""
+"""Writes the results of a fit: mesh, rendered image, measurements, settings, report, picture."""
 
 from __future__ import annotations
 
@@ -69,16 +69,16 @@ def write_results(
     ----------
     folder : path
         Made if it is not there.
-    state : the last one of the fit.
+    state : the last state of the fit.
     image : (Z, Y, X) measured; NaN where missing.
     grid : where the voxels lie.
     settings : the whole run.
     history : every state of the fit.
     seconds : s; how long the fit took.
     warnings : remarks that a reader of the report should see.
-    further : sections of the report besides those that every fit has.
-    explained : for a region, the share of what varies around it that the fit explains.
-    verdict : how good the shapes are: for the report and the table of cells.
+    further : sections of the report beside those that every fit has.
+    explained : by region, the share of the variation around it that the fit explains.
+    verdict : how good the shapes are, for the report and the table of cells.
     table : the text of ``measurements.csv``; None: all columns that can be measured here.
 
     Returns
@@ -116,7 +116,7 @@ def write_results(
 
 
 def _missing(settings: RunSettings) -> str:
-    """A comment for ``run.toml`` on what it needs before it repeats the run."""
+    """Return a comment for ``run.toml`` on what is missing to repeat the run."""
     lost = [name for name in ("image", "seeds") if not getattr(settings, name)]
     if not lost:
         return ""
@@ -131,7 +131,7 @@ def describe(
     seconds: float,
     warnings: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The content of ``report.json``: plain values; what is not finite is None."""
+    """Return the content of ``report.json``: plain values; numbers that are not finite are None."""
     fit = settings.fit
     device = choose_device(fit.device, prod(grid.shape))
     facts = {
@@ -179,7 +179,7 @@ def describe(
 
 
 def effects_found(start: Effects, end: Effects) -> list[dict[str, Any]]:
-    """For each effect: where it acts, whether it was fitted, and its numbers before and after."""
+    """Return where each effect acts, whether it was fitted, and its numbers before and after."""
     found = []
     for effect in end.present():
         first = getattr(start, effect.name) or type(effect).neutral()
@@ -199,13 +199,13 @@ def effects_found(start: Effects, end: Effects) -> list[dict[str, Any]]:
 
 
 def engine_used(state: FitState, grid: Grid, accuracy: float, device: torch.device) -> str:
-    """What computes the images of a state at the last level, in words."""
+    """Say in words what computes the images of a state at the last level."""
     method = Renderer(Scene.of(state.mesh, state.optics), grid, accuracy, device=device).plan.method
     return f"{device.type}, {method}, {threads()} threads"
 
 
 def plain_values(value: Any) -> Any:
-    """Values that JSON knows, numpy's included."""
+    """Convert a value, NumPy's included, to one that JSON can hold."""
     if isinstance(value, dict):
         return {str(key): plain_values(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,8 +1,8 @@
-"""What decided in a fit beside the settings of its run; kept with each result.
+"""The numbers that decided in a fit beside the settings of its run; kept with each result.
 
-A number that decides is one of *rules*: a frozen dataclass whose docstring says, number by number,
-its unit and where the value comes from. A caller cannot change rules, as opposed to settings; they
-may be others in another version. All that a module of the rooms below has are kept.
+Such numbers are in *rules*: frozen dataclasses whose docstrings give the unit and the source of
+each number. Unlike settings, rules cannot be changed by a caller, but they may differ between
+versions. All rules of the packages below are kept.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 from ..fitting.objective.schedule import Schedule
 
 _ROOMS = ("images", "geometry.labels", "optics", "fitting", "evidence")
-# Those that are not called as their module is, or as they are where that is not RULES.
+# Titles of rules that are not named after their module (RULES) or after themselves (others).
 _NAMES = {
     "finding": "cells",
     "whole cells": "markers",
@@ -46,7 +46,7 @@ _NAMES = {
 
 @cache
 def rules_of_a_fit() -> dict[str, dict[str, Any]]:
-    """The numbers of each set of rules, by its name."""
+    """Return the numbers of each set of rules, by its name."""
     found = {"schedule": asdict(Schedule())}
     for module in _modules():
         last = module.__name__.rpartition(".")[2]

@@ -1,4 +1,4 @@
-"""A scene on disk: one zip file with its arrays, its optics and its effects."""
+"""Saves and loads a scene: one zip file with its arrays, its optics and its effects."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _WHAT = "a scene"
 def save_scene(
     scene: Scene, path: str | os.PathLike[str], optics: OpticsSettings | None = None
 ) -> None:
-    """Write a scene whole: positions and densities bit for bit, the PSF, and the effects.
+    """Write a whole scene: positions and densities bit for bit, the PSF, and the effects.
 
-    Tensors are written as numbers; what they are differentiable in is not kept.
+    Tensors are written as numbers; their gradients are not kept.
 
     Parameters
     ----------
     optics
-        Settings that the PSF was built from; a Gaussian one needs none. A measured PSF stays in the
-        file that they name.
+        Settings from which the PSF was built; not needed for a Gaussian one. A measured PSF stays
+        in the file that they name.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def _structure_facts(
     structure: Structure, name: str, archive: ArchiveWriter, meshes: MeshWriter
 ) -> dict[str, Any]:
     def held(field: str, values: Any) -> Any:
-        """A number, or the name of an array."""
+        """Return a number, or store an array and return its name."""
         if np.ndim(to_numpy(values) if is_tensor(values) else values) == 0:
             return float(values)
         archive.add_array(f"{name}/{field}", to_numpy(values))

@@ -1,4 +1,4 @@
-"""The image of a bead in a session file, whose PSF is that of the bead."""
+"""The image of a bead in a session file, from which its PSF was measured."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from ..runs.settings import RunSettings
 
 
 def keep_bead(archive: ArchiveWriter, name: str, settings: RunSettings) -> RunSettings:
-    """Put the image of the bead into a session, where the PSF is measured.
+    """Put the image of the bead into a session if the PSF is a measured one.
 
     Returns
     -------
-    The settings, which say the voxel size that the file said.
+    The settings, with the voxel size that the bead's file says.
 
     Raises
     ------
     InputError
-        If the file is gone: nobody could open the session.
+        If the file is gone: the session could not be opened later.
     """
     optics = settings.scene.optics
     if not isinstance(optics, MeasuredOptics):
@@ -43,10 +43,10 @@ def keep_bead(archive: ArchiveWriter, name: str, settings: RunSettings) -> RunSe
 
 
 def with_bead(archive: ArchiveReader, name: str, settings: RunSettings) -> RunSettings:
-    """The settings of a session, with a file of the image of the bead that it holds.
+    """Return the settings of a session, with the bead's image unpacked to a new file.
 
-    The file that the settings name is not looked for: a session may come from anybody, and the
-    path lead to another machine. The new file lasts as long as this process.
+    The file that the settings name is not used: a session may come from anybody, and its path may
+    be one of another machine. The new file lasts as long as this process.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def with_bead(archive: ArchiveReader, name: str, settings: RunSettings) -> RunSe
 
 @cache
 def _folder() -> str:
-    """Of this process; gone when it ends."""
+    """Make a temporary folder for this process; it is removed when the process ends."""
     made = tempfile.TemporaryDirectory(prefix="deltamic-", ignore_cleanup_errors=True)
     atexit.register(made.cleanup)
     return made.name

@@ -1,6 +1,6 @@
-"""What ``session.json`` holds: the plain part of a session, checked by pydantic when it is read.
+"""The content of ``session.json``: plain values, checked by pydantic when they are read.
 
-Arrays and meshes lie beside it in the archive; here are their names.
+Arrays and meshes lie beside it in the archive; these classes hold their names.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MeshName = dict[str, str | int]  # by which a MeshReader finds it
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """A layer in the viewer's world; scale and translate along Z, Y, X in its units."""
+    """A layer's place in the viewer's world; scale and translate are along Z, Y, X in its units."""
 
     name: str
     scale: Triple
@@ -29,7 +29,7 @@ class Placed:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageFacts(Placed):
-    """Of an image; voxel_size : um. display : how it is shown."""
+    """An image; voxel_size : um. display : how it is shown."""
 
     voxel_size: Triple
     display: Plain
@@ -37,7 +37,7 @@ class ImageFacts(Placed):
 
 @dataclass(frozen=True, kw_only=True)
 class LayerFacts(Placed):
-    """Of a layer of seeds; arrays : their names under ``seeds/``. options : how it is shown."""
+    """A layer of seeds; arrays : their names under ``seeds/``. options : how it is shown."""
 
     kind: str
     arrays: list[str]
@@ -46,7 +46,7 @@ class LayerFacts(Placed):
 
 @dataclass(frozen=True, kw_only=True)
 class StateFacts:
-    """Of a state of a fit; loss : None where it is not known, as after a change by hand."""
+    """A state of a fit; loss : None if it is not known, as after a change by hand."""
 
     mesh: MeshName
     optics: Plain
@@ -70,7 +70,7 @@ class StateFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class MomentFacts:
-    """Of a state on the way."""
+    """A state that was kept on the way of a fit."""
 
     note: str
     mesh: MeshName
@@ -79,7 +79,7 @@ class MomentFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class ResultFacts:
-    """Of the result of a fit; counted : whether not all voxels did."""
+    """The result of a fit; counted : whether a mask says which voxels count (else all do)."""
 
     state: StateFacts
     first: int
@@ -93,7 +93,7 @@ class ResultFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class TracksFacts:
-    """Of a series; time : scale, translation and unit. meshes : of each frame, if it has one."""
+    """A tracked series; time : scale, translation, unit. meshes : of each frame; None for none."""
 
     time: tuple[float, float, str]
     seconds: float
@@ -104,7 +104,7 @@ class TracksFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class SessionFacts:
-    """Of a session; second : its second view."""
+    """A whole session; second : image of its second view."""
 
     format: str
     version: int

@@ -22,7 +22,7 @@ from .session_result import result_facts, saved_result, settings_of
 from .session_tracks import saved_tracks, tracks_facts
 
 EXTENSION = ".deltamic"
-VERSION = 1  # of the format; grows when older versions could not read a file
+VERSION = 1  # of the format; raised when older versions of this package could not read a file
 _FORMAT = "napari-deltamic session"
 _WHAT = "a deltaMic session"
 

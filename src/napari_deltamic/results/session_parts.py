@@ -1,4 +1,4 @@
-"""What a session is made of; see :mod:`napari_deltamic.results.session_file`."""
+"""The parts of a session; see :mod:`napari_deltamic.results.session_file`."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ class SavedImage:
 
     @property
     def grid(self) -> Grid:
-        """Where its voxels lie, um from the centre of the first."""
+        """Its grid, in um from the centre of the first voxel."""
         z, y, x = self.pixels.shape
         return Grid((z, y, x), self.voxel_size)
 
 
 @dataclass(frozen=True, eq=False)
 class SavedLayer:
-    """A layer as it was placed: seeds, for example.
+    """A layer, such as seeds, and its place in the viewer's world.
 
     kind : points, labels or surface.
     arrays : points: data (n, 3), size (n,); labels: data (Z, Y, X); surface: vertices (V, 3),
-        faces (F, 3) and, where they are known, regions (F, 2).
+        faces (F, 3) and, if known, regions (F, 2).
     scale, translate, units : of the layer, Z, Y, X.
     options : further plain values (colours, symbols, ...).
     """
@@ -66,13 +66,13 @@ class SavedLayer:
 
 @dataclass(frozen=True, eq=False)
 class SavedResult:
-    """What a fit reached.
+    """The result of a fit.
 
     settings : of the fit; those of the session may have been changed since.
-    start : where it started, um; None if that is not known.
-    state : the last good one.
-    history : its course; ``seconds`` s long.
-    verdict, message : how it ended, in a word and in words.
+    start : the mesh where it started, um; None if not known.
+    state : the last good state.
+    history : its course, which took ``seconds``.
+    verdict, message : how it ended, in one word and in a sentence.
     moments : the states that were kept on the way.
     counted : (Z, Y, X) bool: voxels that may count; None for all.
     """
@@ -92,11 +92,11 @@ class SavedResult:
 class SavedTracks:
     """Cells tracked through a series, and the series.
 
-    pixels : (T, Z, Y, X); of the image of the session, which is one of its frames.
+    pixels : (T, Z, Y, X); the image of the session is one of its frames.
     time : scale, translation and unit of the layer along T.
-    results : the frames that are done.
+    results : of the frames that are done.
     settings : of the run; its ``fit`` is that of the first frame.
-    seconds : s; how long it took.
+    seconds : how long tracking took.
     shared_ground : see :func:`napari_deltamic.tracking.track`.
     """
 
@@ -114,8 +114,8 @@ class Session:
 
     settings : what the panels show.
     seeds : the layers that the seeds come from.
-    panels : plain values of the panels that are no settings of a run.
-    second : image of the second view, where the settings have one.
+    panels : plain values of the panels that are not settings of a run.
+    second : image of the second view, if the settings have one.
     """
 
     settings: RunSettings

@@ -1,4 +1,4 @@
-"""The result of a fit in a session file, and back."""
+"""Writes the result of a fit into a session file and reads it back."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .session_facts import MomentFacts, ResultFacts, StateFacts
 from .session_parts import SavedResult
 from .timeline import Moment
 
-# What of a state is a plain value.
+# The fields of a state that are plain values.
 _STATE = (
     *("iteration", "level", "levels", "amplitude", "background"),
     *("blur", "converged", "message", "cone", "unsure", "moving"),
@@ -36,7 +36,7 @@ _STATE = (
 
 
 def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult) -> ResultFacts:
-    """Write the result of a fit; by what is returned :func:`saved_result` finds it again."""
+    """Write the result of a fit; returns facts by which :func:`saved_result` finds it again."""
     state, history = result.state, result.history
     archive.add_text("result.toml", keep_bead(archive, "result/bead", result.settings).to_toml())
     archive.add_array("state/density", state.density)
@@ -49,7 +49,7 @@ def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult
     for name in ("loss", "blur"):
         archive.add_array(f"history/{name}", np.array(getattr(history, name), np.float64))
     archive.add_array("history/level", np.array(history.level, np.int64))
-    # A table: the loss of a moment may be NaN, which JSON does not know.
+    # As an array: the loss of a moment may be NaN, which JSON does not have.
     course = [(moment.iteration, moment.loss) for moment in result.moments]
     archive.add_array("moments/iteration_loss", np.array(course, np.float64).reshape(-1, 2))
     return ResultFacts(
@@ -83,16 +83,16 @@ def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult
 def _optics_facts(optics: Optics) -> dict[str, Any]:
     if not isinstance(optics, GaussianPSF):
         return {"model": "settings", "parameters": optics.parameters().tolist()}
-    # Plain floats come back from JSON as they were.
+    # Plain floats come back from JSON bit for bit.
     if optics.diagonal:
         return {"model": "gaussian", "sigma": list(optics.sigma_um)}
     return {"model": "gaussian", "covariance": optics.covariance.detach().tolist()}
 
 
 def saved_result(archive: ArchiveReader, facts: ResultFacts, grid: Grid) -> SavedResult:
-    """The result that :func:`result_facts` wrote. InputError if it is missing or damaged."""
+    """Read the result that :func:`result_facts` wrote. InputError if missing or damaged."""
     settings, meshes = settings_of(archive, "result.toml"), MeshReader(archive)
-    first = optics_of(settings.scene)  # a PSF of which states hold only what was fitted
+    first = optics_of(settings.scene)  # states hold only those numbers of a PSF that were fitted
     course = {name: archive.array(f"history/{name}").tolist() for name in ("loss", "level", "blur")}
     shown = facts.state
     state = FitState(
@@ -153,7 +153,7 @@ def _optics(facts: Mapping[str, Any], first: Optics) -> Optics:
 
 
 def settings_of(archive: ArchiveReader, name: str) -> RunSettings:
-    """The settings of a run, with the image of their bead, and no other file of theirs."""
+    """Read the settings of a run, with the image of their bead but without their other files."""
     settings: RunSettings = validated(RunSettings, toml_values(archive.text(name)))
     view = settings.scene.effects.view
     if view is not None and view.image:  # the session holds the image itself

@@ -1,4 +1,4 @@
-"""Tracked cells in a session file, and back."""
+"""Writes tracked cells into a session file and reads them back."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .session_parts import SavedTracks
 
 
 def tracks_facts(archive: ArchiveWriter, meshes: MeshWriter, tracks: SavedTracks) -> TracksFacts:
-    """Write tracked cells; by what is returned :func:`saved_tracks` finds them again."""
+    """Write tracked cells; returns facts by which :func:`saved_tracks` finds them again."""
     archive.add_array("series", tracks.pixels)
     kept: Any = keep_bead(archive, "tracks/bead", tracks.settings)
     archive.add_text("tracks.toml", kept.to_toml())
@@ -33,7 +33,7 @@ def tracks_facts(archive: ArchiveWriter, meshes: MeshWriter, tracks: SavedTracks
 
 
 def saved_tracks(archive: ArchiveReader, facts: TracksFacts) -> SavedTracks:
-    """What :func:`tracks_facts` wrote. InputError if it is missing or damaged."""
+    """Read what :func:`tracks_facts` wrote. InputError if it is missing or damaged."""
     pixels = archive.array("series")
     if pixels.ndim != 4 or len(facts.frames) != len(facts.meshes):
         raise InputError("its series does not belong to its tracks")

@@ -1,4 +1,4 @@
-"""What a simulation leaves on disk: the image, its truth, and the settings that fit it."""
+"""Writes a simulation: the image, its ground truth, and the settings that fit it."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def write_simulation(
 
     ``image.tif`` (with noise), ``noise_free.tif`` (mean intensities), ``mesh.ply`` and ``mesh.rec``
     (um), ``labels.tif`` (the region of each voxel), ``run.toml`` (fits the image from the labels)
-    and ``parameters.json`` (everything that is true of the image). Without a mesh, what follows
-    from it is left out.
+    and ``parameters.json`` (the true values of everything else). Without a mesh, what follows from
+    it is left out.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def write_simulation(
 
 
 def facts(simulation: Simulation) -> dict[str, Any]:
-    """Plain values: everything that is true of a simulated image but its meshes."""
+    """Return the true values of a simulated image, without its meshes, as plain values."""
     grid, scene = simulation.grid, simulation.scene
     volumes = simulation.mesh.volumes() if simulation.mesh is not None else {}
     return {

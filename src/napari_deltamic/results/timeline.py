@@ -1,4 +1,4 @@
-"""Moments of a fit that one can go back to."""
+"""Moments of a fit that a user can go back to."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ MOST = 200  # moments kept: the meshes of more would fill the memory
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is kept of one iteration.
+    """What is kept from one iteration.
 
-    iteration : counts from 1, on through runs that go on from one another.
+    iteration : counts from 1, and on through runs that continue one another.
     loss : see ``FitState``; NaN where the mesh was changed by hand after the fit.
     mesh : um.
     optics : the PSF.
-    note : what the user did there; mostly empty.
+    note : what the user did there; usually empty.
     """
 
     iteration: int
@@ -33,13 +33,13 @@ class Moment:
 class Timeline:
     """The moments of a fit, evenly spread over it, at most ``most`` of them.
 
-    The first, the newest and those with a note are always there. Where it is full, every other one
-    of the rest goes, and from then on they are kept half as often.
+    The first, the newest and those with a note are always kept. When it is full, every other one of
+    the rest is dropped, and from then on half as many are kept.
 
     Parameters
     ----------
-    moments : to begin with.
-    most : how many are kept; beyond it only moments with notes.
+    moments : those to begin with.
+    most : how many are kept; more only if they have notes.
     """
 
     def __init__(self, moments: Iterable[Moment] = (), most: int = MOST) -> None:
@@ -51,11 +51,11 @@ class Timeline:
 
     @property
     def moments(self) -> tuple[Moment, ...]:
-        """All of them, in the order in which they came."""
+        """All moments, in the order in which they were added."""
         return tuple(self._moments)
 
     def add(self, state: FitState, note: str = "") -> Moment:
-        """Keep a state."""
+        """Add a state and return its moment."""
         iteration = self._before + state.iteration
         moment = Moment(iteration, float(state.loss), state.mesh, state.optics, note)
         kept = self._moments
@@ -63,7 +63,7 @@ class Timeline:
             moment = replace(moment, note=_joined(kept[-1].note, note))
             kept[-1] = moment
             return moment
-        # The newest is only passing where it follows too closely on one that stays.
+        # The newest so far is dropped again if it follows too closely on one that stays.
         passing = len(kept) > 1 and not kept[-1].note
         if passing and kept[-1].iteration - kept[-2].iteration < self._stride:
             kept.pop()
@@ -72,11 +72,11 @@ class Timeline:
         return moment
 
     def go_on(self) -> None:
-        """From now on states come from a new run that goes on from a moment of this one."""
+        """Start counting the iterations of a new run that continues from a moment of this one."""
         self._before = max((moment.iteration for moment in self._moments), default=0)
 
     def nearest(self, iteration: int) -> int | None:
-        """The index of the moment nearest to an iteration; None where there are none."""
+        """Return the index of the moment nearest to an iteration; None if there are no moments."""
         if not self._moments:
             return None
         return min(
@@ -104,5 +104,5 @@ def _joined(before: str, note: str) -> str:
 
 
 def explained(loss: float) -> float:
-    """Per cent of the variation of the voxels that count; NaN where a loss is not known."""
+    """Per cent of the counted voxels' variation that is explained; NaN if the loss is not known."""
     return 100 * (1 - loss)

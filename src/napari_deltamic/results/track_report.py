@@ -1,4 +1,4 @@
-"""What tracking leaves on disk: a mesh a frame, tracks, lineage, settings, report."""
+"""Writes the results of tracking: a mesh a frame, tracks, lineage, settings, report."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from ..tracking.track_rules import RULES
 from .report import PACKAGES, plain_values
 from .rules_of_a_fit import rules_of_a_fit
 
-MESH_KINDS = (".ply", ".vtk")  # exact, with regions; and for viewers that play series
+MESH_KINDS = (".ply", ".vtk")  # the first is exact, with regions; the second plays in viewers
 FILES = ("tracks.csv", "surface.npz", "run.toml", "report.json")
 _MESH = re.compile(r"mesh_t\d+\.(ply|vtk)")
 
 
 def mesh_name(frame: int, kind: str = ".ply") -> str:
-    """The name of the mesh file of a frame."""
+    """Return the name of the mesh file of a frame."""
     return f"mesh_t{frame:03d}{kind}"
 
 
@@ -50,7 +50,7 @@ def write_frame(folder: str | os.PathLike[str], result: FrameResult) -> list[Pat
 
 
 def forget_others(folder: str | os.PathLike[str], results: Sequence[FrameResult]) -> None:
-    """Remove what an earlier run left: meshes of frames that these do not have, and the surface."""
+    """Remove an earlier run's surface and its meshes of frames that have no mesh now."""
     own = {mesh_name(r.frame, kind) for r in results if r.mesh is not None for kind in MESH_KINDS}
     for path in Path(folder).glob("mesh_t*"):
         if _MESH.fullmatch(path.name) and path.name not in own:
@@ -76,8 +76,8 @@ def write_tracks(
 
     Parameters
     ----------
-    seconds : s; how long it took.
-    surface : False leaves ``surface.npz`` out, as while frames are still to come.
+    seconds : how long tracking took.
+    surface : False leaves ``surface.npz`` out, for example while frames are still to come.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def write_tracks(
 
 
 def tracks_csv(results: Sequence[FrameResult]) -> str:
-    """The table of ``measure_tracks`` as text; numbers that are not known are empty."""
+    """Return the table of ``measure_tracks`` as text; unknown numbers are empty."""
     text = io.StringIO()
     writer = csv.DictWriter(text, TRACK_COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -117,7 +117,7 @@ def holds_tracks(folder: str | os.PathLike[str]) -> bool:
 
 
 def read_results(folder: str | os.PathLike[str]) -> list[FrameResult]:
-    """The frames that a run has written, to go on from.
+    """Read the frames that a run has written, to go on from.
 
     Raises
     ------
@@ -144,13 +144,13 @@ _FRAMES: TypeAdapter[list[FrameResult]] = TypeAdapter(list[FrameResult])
 
 def _mesh(folder: Path, frame: int) -> Mesh:
     with warnings.catch_warnings():
-        # What a fit left may have flaws, which are not new.
+        # The meshes of a fit may have flaws, which are not news.
         warnings.simplefilter("ignore", RepairWarning)
         return load_mesh(folder / mesh_name(frame))
 
 
 def _frames(results: Sequence[FrameResult]) -> list[dict[str, Any]]:
-    """As the report holds them; used : whether a frame was not left out."""
+    """Return the frames as the report holds them; used : whether a frame was not left out."""
     plain = _FRAMES.dump_python(list(results), by_alias=True, warnings=False)
     return [
         {**facts, "seconds": round(r.seconds, 3), "used": r.mesh is not None, "cells": r.cells}

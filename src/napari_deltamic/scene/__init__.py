@@ -1,4 +1,4 @@
-"""The scene: a grid, what is in it, and how it becomes an image."""
+"""The scene: a grid, the structures in it, and how they become an image."""
 
 from .grid import Grid
 from .random_cells import random_cells

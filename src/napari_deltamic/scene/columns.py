@@ -1,4 +1,4 @@
-"""Derivatives of the measured image in the PSF and in effects: one column for each number."""
+"""Derivatives of the measured image by the PSF's and the effects' numbers, one column each."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .render import Renderer
 
 # Central differences: their error grows as the square of these, that of rounding as their inverse;
 # with images in single precision both are about 1e-4 of a column.
-_DIFFERENCE = 1e-3  # of optics' parameters
-_EFFECT_DIFFERENCE = 1e-2  # of effects', in units of their scale
+_DIFFERENCE = 1e-3  # for the parameters of the optics
+_EFFECT_DIFFERENCE = 1e-2  # for those of effects, in units of their scale
 
 
 class Forming(Protocol):
-    """What turns a transform into an image."""
+    """Turns a transform into an image."""
 
     @property
     def grid(self) -> Grid:
@@ -32,32 +32,32 @@ class Forming(Protocol):
         """The grid of the whole image, to which effects refer."""
 
     def rendered(self, renderer: Renderer, transform: Tensor, otf: Tensor) -> Tensor:
-        """Image (Z, Y, X)."""
+        """Return the image (Z, Y, X) of a transform."""
 
 
 class Counted(Protocol):
     """The voxels that count."""
 
     def of(self, image: Tensor) -> Tensor:
-        """(N,) their values in an image (Z, Y, X)."""
+        """Return (N,) their values in an image (Z, Y, X)."""
 
 
 @dataclass(frozen=True)
 class Now:
-    """Where derivatives of an image are taken.
+    """The state at which derivatives of an image are taken.
 
     Attributes
     ----------
     level, renderer, optics, effects
-        As they are.
+        The present ones.
     transform
-        Transforms the present structures for a renderer with other effects.
+        Function that transforms the present structures for a renderer with other effects.
     spectrum, otf, image
-        Of the present structures; the image at the voxels that count.
+        Transform of the present structures, OTF, and image at the counted voxels.
     voxels
-        Those.
+        The counted voxels.
     amplitude
-        Of the image.
+        Factor on the image.
     """
 
     level: Forming
@@ -73,7 +73,7 @@ class Now:
 
 
 def optics_columns(now: Now) -> list[Tensor]:
-    """(N,) derivatives of the measured image by each parameter of the PSF."""
+    """Return (N,) derivatives of the measured image by each parameter of the PSF."""
     p = now.optics.parameters()
     columns = []
     for i in range(len(p)):
@@ -88,7 +88,7 @@ def optics_columns(now: Now) -> list[Tensor]:
 
 
 def effect_columns(now: Now, effect: Effect) -> list[Tensor]:
-    """(N,) derivatives of the measured image by each of a present effect's parameters."""
+    """Return (N,) derivatives of the measured image by each parameter of a present effect."""
     p = effect.parameters()
     columns = []
     for i in range(len(p)):
@@ -105,7 +105,7 @@ def effect_columns(now: Now, effect: Effect) -> list[Tensor]:
 
 
 def _difference(now: Now, up: Effect, down: Effect, effect: Effect) -> Tensor:
-    """What the measured image changes by, from one value of an effect to another."""
+    """Return the change of the measured image from one value of an effect to another."""
     grid, frame, voxels = now.level.grid, now.level.frame, now.voxels
     if isinstance(effect, OffsetEffect):
         change = effect.with_parameters(up.parameters() - down.parameters()).offset(grid, frame)

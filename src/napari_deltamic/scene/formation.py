@@ -1,4 +1,4 @@
-"""From a transform on a band to an image: the optics, and what effects make of both."""
+"""Forms an image from a transform on a band: the optics, and effects on both."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LARGEST_PERIOD = 8  # times the grid: a mesh further away is in other units
 
 
 class Formation:
-    """How an image is formed of what shines: the part of rendering that asks for no structure.
+    """How a transform becomes an image: the part of rendering that does not depend on structures.
 
     Parameters
     ----------
@@ -29,9 +29,9 @@ class Formation:
     frame
         Grid of the whole image, to which effects refer.
     blur
-        um along Z, Y, X: a further Gaussian on top of the optics.
+        A further Gaussian blur, um along Z, Y, X.
     effects
-        Those on the side of the OTF and of the image are applied; absent ones are not asked for.
+        Those that act on the OTF and on the image are applied.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Formation:
     def fft_shape(
         self, positions: np.ndarray, optics: Optics, accuracy: float, margin: float = 0.0
     ) -> tuple[int, int, int]:
-        """Shape of the periodic grid on which no copy of what lies at (N, 3) um is seen.
+        """Return the shape of a periodic grid on which copies of positions (N, 3) um are not seen.
 
         Raises
         ------
@@ -59,9 +59,9 @@ class Formation:
         return padded_shape(positions, self.grid, reach)
 
     def otf(self, optics: Optics, axes: Axes) -> Tensor:
-        """The optics, the extra blur and what effects make of them, on the box of a band.
+        """Return the OTF of optics, extra blur and effects on the box of a band.
 
-        Two such boxes where the PSF changes with depth.
+        Two such boxes if the PSF changes with depth.
         """
         otf = optics.otf(axes)
         for axis, k in enumerate(axes):
@@ -77,21 +77,21 @@ class Formation:
 
     @property
     def is_plain(self) -> bool:
-        """Whether nothing but the OTF is between a transform and its image."""
+        """Whether there is nothing but the OTF between a transform and its image."""
         return self.effects.depth is None and not self._gains
 
     def image(
         self, transform: Tensor, otf: Tensor, band: Band, known: Tensor | None = None
     ) -> Tensor:
-        """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total.
+        """Return the image (Z, Y, X): fluorophores seen in each voxel, which sum to the total.
 
-        known : the image, where only its gradients are wanted; of use where :attr:`is_plain`.
+        known : the image, if only its gradients are wanted; used only if :attr:`is_plain`.
         """
         if self.effects.depth is None:
             image = band.to_image(transform, self.grid.shape, otf, known if self.is_plain else None)
         else:
             image = band.to_image(in_one_thread(torch.mul, transform, otf).sum(0), self.grid.shape)
-        self._gains = [gain.to(image) for gain in self._gains]  # once: there they stay
+        self._gains = [gain.to(image) for gain in self._gains]  # moved only once
         for gain in self._gains:
             image = image * gain
         return image
@@ -104,7 +104,7 @@ def _um(point: np.ndarray) -> str:
 def padded_shape(positions: np.ndarray, grid: Grid, reach: np.ndarray) -> tuple[int, int, int]:
     first, last = grid.extent
     low, high = positions.min(0) - reach, positions.max(0) + reach
-    # A copy of the mesh one period away must stay clear of the grid, on either side.
+    # Copies of the mesh one period away must stay clear of the grid, on either side.
     period = np.maximum.reduce(
         [last - low, high - first, last - first + np.asarray(grid.voxel_size)]
     )

@@ -1,4 +1,4 @@
-"""Grid: where the voxels of an image lie."""
+"""The grid: where the voxels of an image lie."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Grid:
     Raises
     ------
     InputError
-        If the shape is not three positive numbers, the voxel size not positive and of any
-        microscope, or the origin not finite.
+        If the shape is not three positive numbers, the voxel size is not positive or that of no
+        microscope, or the origin is not finite.
     """
 
     shape: tuple[int, int, int]
@@ -59,12 +59,12 @@ class Grid:
 
     @property
     def extent(self) -> tuple[np.ndarray, np.ndarray]:
-        """First and last voxel centre, um."""
+        """The centres of the first and the last voxel, (3,) um each."""
         first = np.asarray(self.origin)
         return first, first + (np.asarray(self.shape) - 1) * np.asarray(self.voxel_size)
 
     def strided(self, step: tuple[int, int, int]) -> Grid:
-        """Every ``step``-th voxel, from the first on."""
+        """Return the grid of every ``step``-th voxel, from the first on."""
         return Grid(
             tuple((n - 1) // s + 1 for n, s in zip(self.shape, step, strict=True)),  # type: ignore[arg-type]
             tuple(d * s for d, s in zip(self.voxel_size, step, strict=True)),  # type: ignore[arg-type]

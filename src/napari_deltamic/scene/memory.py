@@ -10,11 +10,11 @@ from ..common.freed_memory import give_back
 
 
 class Peak:
-    """How far the resident memory of this process rises within a block, as the kernel counts it.
+    """Measures how far the resident memory of this process rises within a block.
 
-    Linux keeps the highest mark and lets a process reset its own; elsewhere there is no such way
-    short of another process for every measurement, and ``bytes`` stays None. Memory that was freed
-    before but not given back is taken again unseen, so what is free is given back first.
+    Linux keeps the highest mark and lets a process reset its own; elsewhere that would need another
+    process for every measurement, so ``bytes`` stays None. Memory that was freed before but not
+    returned to the system could be reused unnoticed, so it is returned first.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Noise: from the light that reaches a camera to the numbers that it writes."""
+"""Noise: from the light that reaches a camera to the intensities that it records."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST = 1e18  # photons in a voxel: nearly as many as a whole number of 64 bits 
 def detected(
     light: NDArray[Any], camera: DetectorEffect | None, rng: np.random.Generator, bits: Bits = 16
 ) -> NDArray[Any]:
-    """A noisy image: Poisson counts, then what the camera makes of them.
+    """Make a noisy image: Poisson counts, then what the camera makes of them.
 
     ``min(gain * Poisson(light) + offset + read noise * Normal(0, 1), saturation)``, rounded and
     held within the range of the bits. Without a camera an intensity is a count, and no normal
@@ -26,11 +26,11 @@ def detected(
     Parameters
     ----------
     light
-        (Z, Y, X) photons expected in each voxel; what rendering leaves below 0 counts as none.
+        (Z, Y, X) photons expected in each voxel; negative values of a rendering count as 0.
     camera
         Gain, offset, read noise and saturation.
     rng
-        Where the noise comes from; the same state gives the same bytes.
+        Source of the noise; the same state gives the same bytes.
     bits
         8 (uint8), 12 or 16 (uint16), or 32 (float32).
 
@@ -67,7 +67,7 @@ def detected(
 
 
 def intensities(light: NDArray[Any], camera: DetectorEffect | None) -> NDArray[np.float64]:
-    """(Z, Y, X) mean intensities of a camera that never saturates. Raises InputError for NaN."""
+    """Return (Z, Y, X) mean intensities of a camera without saturation. InputError for NaN."""
     found = np.asarray(light, dtype=np.float64)
     if not np.isfinite(found).all():
         raise InputError("the expected light is not finite: check the numbers of the effects")
@@ -75,5 +75,5 @@ def intensities(light: NDArray[Any], camera: DetectorEffect | None) -> NDArray[n
 
 
 def highest(bits: Bits) -> float:
-    """The largest number that so many bits hold; infinity for float32."""
+    """Return the largest number that so many bits hold; infinity for float32."""
     return np.inf if bits == 32 else float(2**bits - 1)

@@ -28,7 +28,7 @@ def random_cells(
     kind: CellKind = "foam",
     seed: int = 0,
 ) -> Mesh:
-    """Cells at random places within a grid; the same seed gives the same cells.
+    """Make cells at random places within a grid; the same seed gives the same cells.
 
     A foam is a cluster of spheres of random sizes that overlap and share flat walls (a power
     diagram), as the cells of an early embryo do. Vesicles are ovals with a gap between them.
@@ -36,7 +36,7 @@ def random_cells(
     Parameters
     ----------
     count
-        How many; regions 1 to count.
+        Number of cells; they are regions 1 to count.
     grid
         Cells lie within it, a margin away from its sides.
 
@@ -77,7 +77,7 @@ def _foam(
     edge: float,
     rng: np.random.Generator,
 ) -> Mesh:
-    """Centres spread evenly over an ellipsoid (Lloyd's method), then shaken."""
+    """Make a foam: centres spread evenly over an ellipsoid (Lloyd's method), then shaken."""
     inner = np.maximum(half - 0.8 * radius, 0.15 * half)
     cloud = rng.uniform(-1, 1, (4000, 3))
     cloud = cloud[(cloud**2).sum(1) < 1] * inner
@@ -92,7 +92,7 @@ def _foam(
         )
     centres = centres + rng.normal(0, 0.08 * radius, centres.shape)
     radii = radius * rng.uniform(0.92, 1.08, count)
-    # What reaches over the margin is drawn back.
+    # Spheres that reach over the margin are moved back.
     limit = half * 1.15 - radii[:, None]
     return foam(middle + np.clip(centres, -np.maximum(limit, 0), np.maximum(limit, 0)), radii, edge)
 
@@ -106,7 +106,7 @@ def _vesicles(
     edge: float,
     rng: np.random.Generator,
 ) -> Mesh:
-    """Ovals, each put where it touches none before it; all smaller if there is no room."""
+    """Place ovals so that none touches another; all are made smaller if there is no room."""
     size = 0.9 * radii[1]
     while size >= radii[0]:
         axes = size * rng.uniform(0.75, 1.15, (count, 3))
@@ -135,7 +135,7 @@ def _vesicles(
 
 
 def _oval(centre: FloatArray, axes: FloatArray, edge: float, rng: np.random.Generator) -> Mesh:
-    """An ellipsoid turned at random, with shallow dents, within a ball of its largest axis."""
+    """Make a randomly turned ellipsoid with shallow dents, within a ball of its largest axis."""
     ball = sphere((0, 0, 0), float(axes.max()), edge_length=edge)
     unit = ball.vertices_numpy() / float(axes.max())
     dents = np.zeros(len(unit))

@@ -1,4 +1,4 @@
-"""From a scene to an image."""
+"""Renders a scene to an image."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .light import MEMBRANES, Light
 from .scene import Scene
 from .structures import Planned, Site, Solid, Surface
 
-_STRETCH = 1.1  # of edges, within the life of a plan for a mesh that moves
+_STRETCH = 1.1  # of edges, while one plan serves a mesh that moves
 
 
 class Renderer:
@@ -36,33 +36,33 @@ class Renderer:
     Parameters
     ----------
     scene, grid
-        What the plan is made for, and where the voxels lie.
+        The scene that the plan is made for, and where the voxels lie.
     accuracy
         Relative L2 error of the image; 0 for the closed form at every wavevector of the grid.
     blur
-        um along Z, Y, X: a further Gaussian on top of the optics (coarse levels of a fit).
+        A further Gaussian blur, um along Z, Y, X (for coarse levels of a fit).
     frame
-        Grid of the whole image, to which effects refer, where ``grid`` leaves voxels out.
+        Grid of the whole image, to which effects refer, if ``grid`` leaves voxels out.
     margin
-        um: how far vertices may move before the plan no longer holds; 0 for a scene that stays.
-        Edges may then grow by a tenth, which a fit sees to by planning anew now and then.
+        How far (um) vertices may move before the plan no longer holds; 0 for a scene that stays.
+        Otherwise edges may grow by a tenth, and a fit plans anew now and then to keep to that.
     method
         Forces ``"closed form"`` or ``"particle-mesh"``.
     device
         Where images are; see :func:`napari_deltamic.fourier.devices.choose_device`.
     plan
-        For the scene's only surface; by default the cheapest for the accuracy.
+        Plan for the scene's only surface; by default the cheapest for the accuracy.
 
     Raises
     ------
     InputError
-        If the accuracy is not in [0, 1), or a structure so far from the grid that its units must be
-        wrong.
+        If the accuracy is not in [0, 1), or a structure is so far from the grid that its units must
+        be wrong.
 
     Notes
     -----
-    The FFT is periodic. The grid is padded just so far that neither the image of the scene nor that
-    of its periodic copies reaches in at the other side.
+    The FFT is periodic. The grid is padded just enough that neither the image of the scene nor
+    those of its periodic copies reach in from the other side.
     """
 
     def __init__(
@@ -97,14 +97,14 @@ class Renderer:
             method,
             optics.diagonal,
             optics.cutoff(blur),
-            partial(self._formation.otf, optics),  # not of this renderer, which would never go
+            partial(self._formation.otf, optics),  # a method of this renderer would keep it alive
             _STRETCH if margin > 0 else 1.0,
             for_objects(self.device),
             plan,
         )
         self._moving = scene.on_one_mesh()
         self._planned: list[Planned] = [s.planned(site) for s in scene.structures]
-        # One of them holds all others: what they ask of the OTF is a number.
+        # The largest band holds all others, as they differ only in the least |OTF|.
         self.band: Band = max((p.plan.band for p in self._planned), key=lambda b: b.half)
         single = all(p.plan.single for p in self._planned)
         self._axes = self.band.axes(torch.float32 if single else torch.float64)
@@ -115,22 +115,22 @@ class Renderer:
 
     @property
     def plan(self) -> Plan:
-        """The plan of the mesh."""
+        """The plan of the scene's mesh."""
         return next(p.plan for p in self._planned if isinstance(p.plan, Plan))
 
     def with_effects(self, effects: Effects) -> Renderer:
-        """The same plan with other numbers of the same effects."""
+        """Return a renderer with the same plan and other numbers of the same effects."""
         renderer = copy(self)
         renderer._take(effects)
         renderer._last_otf = None, None
         return renderer
 
     def holds_for(self, positions: np.ndarray) -> bool:
-        """Whether the plan still holds for these vertices (V, 3) of the scene's mesh."""
+        """Whether the plan still holds for these vertices (V, 3) um of the scene's mesh."""
         return bool(np.abs(positions - self._moving[0].positions()).max() <= self.margin)
 
     def pads_enough_for(self, effects: Effects, optics: Optics) -> bool:
-        """Whether the plan is wide enough for other effects, which may reach further."""
+        """Whether the grid is padded enough for other effects, which may reach further."""
         formation = Formation(self.grid, self.frame, self.blur, effects)
         needed = formation.fft_shape(self._start, optics, self.accuracy, self.margin)
         return all(n <= m for n, m in zip(needed, self.band.fft_shape, strict=True))
@@ -142,24 +142,23 @@ class Renderer:
         light: Light | None = None,
         cells: Tensor | None = None,
     ) -> Tensor:
-        """u_hat on the box of the band, differentiable; two boxes where the PSF changes with depth.
+        """Return u_hat on the band's box, differentiable; two boxes if the PSF varies with depth.
 
         Parameters
         ----------
         vertices
-            (V, 3) um: the scene's mesh from here on; by default as it was planned with.
+            (V, 3) um: new vertices of the scene's mesh; by default those of the plan.
         density
-            (F,) that multiply its membranes.
+            (F,) factors on its membranes.
         light
-            Factors on its surfaces and solids; what does not shine is not computed. 1 where not
-            given.
+            Factors on its surfaces and solids; what does not shine is not computed. By default 1.
         cells
-            (R,) how bright the inside of each region of a solid is; in place of those of the light.
+            (R,) how bright the inside of each region of a solid is, instead of the light's numbers.
 
         Raises
         ------
         InputError
-            If there is not one density for each face, or one number for each region.
+            If the number of densities is not that of faces, or of numbers not that of regions.
         """
         total: Tensor | None = None
         for number, structure in enumerate(self.scene.structures):
@@ -179,14 +178,14 @@ class Renderer:
     def part(
         self, number: int, positions: Tensor | None = None, density: Tensor | None = None
     ) -> Tensor:
-        """Like :meth:`transform`, for one structure alone, of any kind.
+        """Return u_hat of one structure of any kind; see :meth:`transform`.
 
         Parameters
         ----------
         number
-            Of the structure in the scene, from 0 on.
+            Index of the structure in the scene, from 0.
         positions
-            (N, 3) um: its vertices or points from here on; by default as it was planned with.
+            (N, 3) um: its new vertices or points; by default those of the plan.
         density
             As ``transform`` takes it for a surface or a solid; (S,) or (P,) factors on the
             densities of segments or the weights of points.
@@ -196,24 +195,24 @@ class Renderer:
         return _widened(box, planned.plan.band, self.band)
 
     def _held(self, box: Tensor) -> Tensor:
-        """The box on the device of the image, in a type that the device knows."""
+        """Move the box to the device of the image, in a type that the device supports."""
         if self.device.type == "mps":
             box = box.to(torch.complex64 if box.is_complex() else torch.float32)
         return box.to(self.device)
 
     def otf(self, optics: Optics) -> Tensor:
-        """The optics, the extra blur and what effects make of them, on the box of the band."""
+        """Return the OTF of optics, extra blur and effects on the box of the band."""
         if self.device.type == "cpu":
             return self._formation.otf(optics, self._axes)
         last, otf = self._last_otf
         if otf is None or last is not optics:
             otf = self._held(self._formation.otf(optics, self._axes_for(optics)))
-            # Kept as long as the optics stay the same.
+            # Kept while the optics stay the same.
             self._last_otf = (None, None) if otf.requires_grad else (optics, otf)
         return otf
 
     def _axes_for(self, optics: Optics) -> tuple[Tensor, Tensor, Tensor]:
-        """Axes on the device if the OTF is a mere formula; else on the CPU."""
+        """Return axes on the device if the OTF is a mere formula; else on the CPU."""
         z, y, x = self._axes
         if not isinstance(optics, GaussianPSF) or self.effects.present():
             return z, y, x
@@ -222,23 +221,23 @@ class Renderer:
         return self._held_axes
 
     def image(self, transform: Tensor, otf: Tensor, known: Tensor | None = None) -> Tensor:
-        """Image (Z, Y, X): fluorophores seen in each voxel; its sum over all space is the total.
+        """Return the image (Z, Y, X): fluorophores seen in each voxel, which sum to the total.
 
-        known : the image, where it was made before and only its gradients are wanted.
+        known : the image, if it was made before and only its gradients are wanted.
         """
         return self._formation.image(transform, otf, self.band, known)
 
     def rendered(self) -> Tensor:
-        """The image of the scene itself."""
+        """Return the image of the scene itself."""
         return self.image(self.transform(), self.otf(self.scene.optics))
 
     def offset(self) -> Tensor | None:
-        """What effects add to the measured image, in its unit; None where nothing is added."""
+        """Return what effects add to the measured image, in its unit; None for nothing."""
         return offset(self.effects, self.grid, self.frame)
 
 
 def offset(effects: Effects, grid: Grid, frame: Grid | None = None) -> Tensor | None:
-    """(Z, Y, X) what effects add to the measured image of a grid; None where nothing is added."""
+    """Return (Z, Y, X) what effects add to the measured image of a grid; None for nothing."""
     found = None
     for effect in effects.present():
         if isinstance(effect, OffsetEffect):
@@ -250,7 +249,7 @@ def offset(effects: Effects, grid: Grid, frame: Grid | None = None) -> Tensor | 
 def render_scene(
     scene: Scene, grid: Grid, accuracy: float = 1e-3, *, method: Method | None = None
 ) -> Tensor:
-    """The image of a scene: all its structures under one PSF, with its effects.
+    """Render a scene: all its structures under one PSF, with its effects.
 
     Parameters
     ----------
@@ -261,13 +260,13 @@ def render_scene(
     accuracy
         Relative L2 error of the image; 0 for the closed forms at every wavevector of the grid.
     method
-        Forces ``"closed form"`` or ``"particle-mesh"``; by default the cheaper of each structure.
+        Forces ``"closed form"`` or ``"particle-mesh"``; by default the cheaper for each structure.
 
     Returns
     -------
-    (Z, Y, X) tensor, fluorophores seen in each voxel: float32, or float64 where the accuracy asks
-    for more than single precision can hold (below 3e-5). What effects add to the measured image (a
-    background) is added by :func:`expected_image` alone.
+    (Z, Y, X) tensor, fluorophores seen in each voxel: float32, or float64 if the accuracy is beyond
+    single precision (below 3e-5). What effects add to the measured image (a background) is added
+    only by :func:`expected_image`.
 
     Raises
     ------
@@ -287,14 +286,14 @@ def render(
     effects: Effects | Sequence[str] = (),
     method: Method | None = None,
 ) -> Tensor:
-    """The image of the membranes of a mesh under a PSF: :func:`render_scene` of a single surface.
+    """Render the membranes of a mesh under a PSF: :func:`render_scene` of a single surface.
 
-    It is computed where the mesh's vertices are.
+    It is computed on the device of the mesh's vertices.
 
     Parameters
     ----------
     mesh
-        Vertices in um; the result is differentiable in them where they are a tensor that requires
+        Vertices in um; the result is differentiable in them if they are a tensor that requires
         grad. A wall between two cells is two membranes and counts twice.
     optics
         The PSF; the result is differentiable in its tensors.
@@ -303,7 +302,7 @@ def render(
     effects
         Optional parts of image formation, or their names.
     grid, accuracy, method
-        As of :func:`render_scene`.
+        As in :func:`render_scene`.
 
     Raises
     ------
@@ -327,10 +326,10 @@ def expected_image(
     effects: Effects | Sequence[str] = (),
     light: Light = MEMBRANES,
 ) -> np.ndarray:
-    """(Z, Y, X) float32: what the microscope would measure, but for noise.
+    """Return (Z, Y, X) float32: what the microscope would measure without noise.
 
-    ``amplitude * rendered image + background``, and what effects add; see :func:`render`. Of the
-    mesh, that shines which the light says.
+    It is ``amplitude * rendered image + background``, and what effects add; see :func:`render`.
+    The light says which parts of the mesh shine.
     """
     chosen = as_effects(effects)
     scene = Scene.of(mesh, optics, chosen, density, light.interior != 0)
@@ -343,14 +342,14 @@ def expected_image(
 
 
 def _cells(solid: Solid, light: Light | None) -> Tensor | None:
-    """(R,) how bright the insides of its regions are; None where all are alike."""
+    """Return (R,) how bright the insides of a solid's regions are; None if all are alike."""
     if light is None or not light.cells:
         return None
     return torch.from_numpy(light.of_cells(solid.mesh.region_ids()))
 
 
 def _widened(box: Tensor, band: Band, to: Band) -> Tensor:
-    """The box of a band, zero-padded to that of a wider one."""
+    """Zero-pad the box of a band to that of a wider one."""
     if band.half == to.half:
         return box
     z, y, x = (n - k for n, k in zip(to.half, band.half, strict=True))

@@ -1,4 +1,4 @@
-"""Samples, made by the engine when asked for: an image with noise, and its true surface."""
+"""Sample data, simulated on demand: an image with noise, and its true surface."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from ..optics import GaussianPSF
 from . import Grid, render
 
 LayerData = tuple[Any, dict[str, Any], str]
-_PHOTONS, _BACKGROUND = 60.0, 20.0  # counts: of the brightest voxels, and everywhere
+_PHOTONS, _BACKGROUND = 60.0, 20.0  # counts in the brightest voxels, and everywhere
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A microscope image of surfaces that are known.
+    """A microscope image of known surfaces.
 
     image : (Z, Y, X) float32 counts.
     grid, optics : of the image.
     truth : the surfaces, um.
-    centers : (n, 3) a point inside each cell, um, Z, Y, X.
+    centers : (n, 3) um, Z, Y, X, a point inside each cell.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Sample:
 
 
 def vesicle_sample() -> Sample:
-    """An oval vesicle."""
+    """Make an oval vesicle."""
     grid = Grid((40, 56, 56), (0.3, 0.2, 0.2))
     center = np.array([5.9, 5.5, 5.4])
     truth = sphere(center, (3.4, 3.0, 3.9), edge_length=0.35)
@@ -45,7 +45,7 @@ def vesicle_sample() -> Sample:
 
 
 def two_cell_sample() -> Sample:
-    """Two cells that lie close to each other."""
+    """Make two cells that lie close to each other."""
     grid = Grid((40, 56, 80), (0.3, 0.2, 0.2))
     left, right = np.array([5.8, 5.4, 4.4]), np.array([6.0, 5.7, 11.4])
     cells = [
@@ -56,7 +56,7 @@ def two_cell_sample() -> Sample:
 
 
 def dividing_cell_sample() -> Sample:
-    """A cell with a furrow, shortly before it divides."""
+    """Make a cell with a furrow, shortly before it divides."""
     grid = Grid((56, 80, 80), (0.22, 0.16, 0.16))
     center = 0.5 * (np.asarray(grid.shape) - 1) * grid.voxel_size
     truth = _furrowed(center)
@@ -64,14 +64,14 @@ def dividing_cell_sample() -> Sample:
 
 
 def foam_sample() -> Sample:
-    """Eight cells that share walls, like a young embryo."""
+    """Make eight cells that share walls, like a young embryo."""
     grid = Grid((52, 76, 84), (0.3, 0.2, 0.2))
     center = 0.5 * (np.asarray(grid.shape) - 1) * grid.voxel_size
     points = _spread(8, (4.3, 4.3, 5.1)) + center
     step = (0.2, 0.2, 0.2)
     axes = [np.arange(0, 2 * c, d) for c, d in zip(center, step, strict=True)]
     z, y, x = np.meshgrid(*axes, indexing="ij", sparse=True)
-    # The nearest point owns a place, unless it is too far: walls are flat, the outside is round.
+    # A place belongs to the nearest point, if that is near: walls are flat, the outside is round.
     squared = np.array([(z - p[0]) ** 2 + (y - p[1]) ** 2 + (x - p[2]) ** 2 for p in points])
     labels = np.where(squared.min(axis=0) < 3.6**2, squared.argmin(axis=0) + 1, 0)
     truth = mesh_from_labels(labels, step, edge_length=0.45, shared_walls=False)
@@ -80,22 +80,22 @@ def foam_sample() -> Sample:
 
 
 def vesicle() -> list[LayerData]:
-    """The vesicle as layers for napari."""
+    """Return the vesicle as layers for napari."""
     return _layers(vesicle_sample())
 
 
 def two_cells() -> list[LayerData]:
-    """The two cells as layers for napari."""
+    """Return the two cells as layers for napari."""
     return _layers(two_cell_sample())
 
 
 def dividing_cell() -> list[LayerData]:
-    """The dividing cell as layers for napari."""
+    """Return the dividing cell as layers for napari."""
     return _layers(dividing_cell_sample())
 
 
 def foam() -> list[LayerData]:
-    """The foam as layers for napari."""
+    """Return the foam as layers for napari."""
     return _layers(foam_sample())
 
 
@@ -116,7 +116,7 @@ def _sample(
     sigma: Sequence[float],
     centers: Sequence[NDArray[np.float64]],
 ) -> Sample:
-    """Rendered, with the noise of counted photons."""
+    """Render a sample and add the noise of counted photons."""
     optics = GaussianPSF(sigma)
     clean = np.clip(render(truth, grid, optics).numpy(), 0, None)
     expected = _BACKGROUND + _PHOTONS * clean / np.percentile(clean, 99.5)
@@ -125,7 +125,7 @@ def _sample(
 
 
 def _spread(n: int, radii: Sequence[float]) -> NDArray[np.float64]:
-    """Points spread evenly in an ellipsoid: each is the middle of what is nearest to it."""
+    """Spread points evenly in an ellipsoid: each is the centroid of the places nearest to it."""
     rng = np.random.default_rng(4)
     cloud = rng.uniform(-1, 1, (8000, 3))
     cloud = cloud[(cloud**2).sum(axis=1) < 1] * radii
@@ -137,7 +137,7 @@ def _spread(n: int, radii: Sequence[float]) -> NDArray[np.float64]:
 
 
 def _furrowed(center: NDArray[np.float64]) -> Mesh:
-    """An ellipsoid with a furrow around its long axis, which is turned out of X towards Y."""
+    """Make an ellipsoid with a furrow around its long axis, which is turned from X towards Y."""
     length, radius, turn = 4.6, 3.1, radians(25)
     ball = sphere((0, 0, 0), (radius, radius, length), edge_length=0.3)
     zyx = ball.vertices_numpy()

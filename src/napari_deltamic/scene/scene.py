@@ -1,4 +1,4 @@
-"""Scene: structures, optics and effects in one object."""
+"""The scene: structures, optics and effects in one object."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .structures import Solid, Structure, Surface, Values
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What the microscope looks at, and how.
+    """What the microscope looks at, and through which optics.
 
     Attributes
     ----------
     structures
-        What shines: surfaces, solids, filaments, points; one, or several.
+        One or several things that shine: surfaces, solids, filaments, points.
     optics
         The PSF.
     effects
@@ -51,7 +51,7 @@ class Scene:
         density: Values | None = None,
         insides: bool = False,
     ) -> Self:
-        """The membranes of a mesh, all alike where no density is given; its insides if asked."""
+        """Make a scene of a mesh's membranes, by default equally dense, with insides if asked."""
         surface = Surface(mesh) if density is None else Surface(mesh, density)
         structures: tuple[Structure, ...] = (surface, Solid(mesh)) if insides else (surface,)
         return cls(structures, optics, as_effects(effects))
@@ -67,7 +67,7 @@ class Scene:
         return self.surface.mesh
 
     def with_surface(self, mesh: Mesh, density: Values = 1.0) -> Self:
-        """The same scene with another first surface, and what is inside it."""
+        """Return the scene with another first surface and its inside."""
         first, moving = self.surface, self.on_one_mesh()
 
         def changed(structure: Structure) -> Structure:
@@ -80,15 +80,15 @@ class Scene:
         return replace(self, structures=tuple(map(changed, self.structures)))
 
     def on_one_mesh(self) -> tuple[Structure, ...]:
-        """The structures that move with the scene's mesh: those of the first one's triangles.
+        """The structures that move with the scene's mesh: those with the first one's triangles.
 
-        However they are wound: a solid turns a region that is inside out.
+        Their winding may differ: a solid turns a region that is inside out.
         """
         meshed = [s for s in self.structures if isinstance(s, (Surface, Solid))]
         return tuple(s for s in meshed if _same_triangles(s.mesh.faces, meshed[0].mesh.faces))
 
     def with_effects(self, effects: Effects | Sequence[str]) -> Self:
-        """The same scene with other effects."""
+        """Return the scene with other effects."""
         return replace(self, effects=as_effects(effects))
 
 

@@ -1,4 +1,4 @@
-"""Simulation: a scene as a noisy image, with everything that is true of it."""
+"""Simulation: a noisy image of a scene, with its ground truth."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from .render import offset, render_scene
 from .scene import Scene
 from .structures import Solid, Surface
 
-BACKGROUND_SHARE = 0.1  # of the photons at the peak, where no background is given
+BACKGROUND_SHARE = 0.1  # of the photons at the peak, if no background is given
 _RINGS = 0.1  # of the peak; chosen: images of PSFs narrower than voxels ring below zero, too
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A simulated image and its truth.
+    """A simulated image and its ground truth.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class Simulation:
     image
         (Z, Y, X) uint8, uint16 or float32: intensities, with noise.
     noise_free
-        (Z, Y, X) float32: their means, before saturation.
+        (Z, Y, X) float32: the mean intensities, before saturation.
     mesh
-        All surfaces and solids; None where there are none.
+        All surfaces and solids; None if there are none.
     labels
         (Z, Y, X) int32: the region at the centre of each voxel, 0 outside; None without a mesh.
     parameters
@@ -73,29 +73,29 @@ def simulate(
     Parameters
     ----------
     scene
-        The camera effect, if it is there, turns photons into intensities and adds its noise;
-        voxels of the effect ``missing`` get its value (0 where it has none).
+        The camera effect, if present, turns photons into intensities and adds its noise; voxels of
+        the effect ``missing`` get its value (0 if it has none).
     grid
         Where the voxels lie.
     photons
-        In the brightest voxel, on top of the background; by default 100.
+        Photons in the brightest voxel, on top of the background; by default 100.
     photons_per_density
-        Instead: photons collected for each unit of the structures' densities (for each
+        Alternatively, photons collected for each unit of the structures' densities (each
         fluorophore, thus per um^2 of a membrane of density 1).
     background
         Photons in every voxel; by default a tenth of those at the peak.
     seed
-        Of the noise.
+        Seed of the noise.
     bits
         8 (uint8), 12 or 16 (uint16), or 32 (float32).
     accuracy
-        Of the image without noise.
+        Relative L2 error of the image without noise.
 
     Raises
     ------
     InputError
         If a number is out of range, both kinds of photons are given, nothing of the scene is seen,
-        there would be less than no light, or the image does not fit into the bits.
+        light would be negative, or the image does not fit into the bits.
     """
     view = scene.effects.view
     if view is not None:
@@ -148,7 +148,7 @@ def simulate(
 
 
 def true_mesh(scene: Scene) -> Mesh | None:
-    """The meshes of surfaces and solids side by side; one that is both counts once."""
+    """Merge the meshes of surfaces and solids; a mesh of both counts once."""
     meshes: list[Mesh] = []
     for structure in scene.structures:
         if isinstance(structure, (Surface, Solid)) and all(

@@ -1,4 +1,4 @@
-"""Whether cells are still those that they were, and which ones have gone."""
+"""Checks whether cells have kept their identity, and which ones have gone."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class CellLook:
 
     @property
     def radius(self) -> float:
-        """um; of the sphere of the same volume."""
+        """Radius of the sphere of the same volume, um."""
         return float(ball_radius(max(self.volume, 0.0)))
 
 
 def looks(mesh: Mesh) -> dict[int, CellLook]:
-    """Volume and centre of every cell."""
+    """Return volume and centre of every cell."""
     found = {}
     vertices, per_face = mesh.vertices_numpy(), mesh.signed_volumes()
     middle = vertices.mean(axis=0)
@@ -46,11 +46,11 @@ def looks(mesh: Mesh) -> dict[int, CellLook]:
 
 
 def alarms(mesh: Mesh, expected: Mesh, before: dict[int, CellLook], grid: Grid) -> dict[int, str]:
-    """Cells that may have lost their identity, and why, in plain words.
+    """Return the cells that may have lost their identity, and why, in plain words.
 
     Parameters
     ----------
-    mesh, expected : after the fit, and where it started.
+    mesh, expected : the mesh after the fit, and where the fit started.
     before : the cells of the last good frame.
     """
     now, then = looks(mesh), looks(expected)
@@ -78,20 +78,20 @@ def alarms(mesh: Mesh, expected: Mesh, before: dict[int, CellLook], grid: Grid) 
 
 @dataclass
 class Volumes:
-    """Volumes of the cells in the last good frames, um^3: what is usual for each."""
+    """Volumes of the cells in the last good frames, um^3, from which usual changes are known."""
 
     _of: dict[int, list[float]] = field(default_factory=dict)
     _changes: list[float] = field(default_factory=list)
 
     def add(self, now: dict[int, CellLook]) -> None:
-        """A good frame is done."""
+        """Add the cells of a good frame."""
         for cell, look in now.items():
             off = self._off(cell, look)
             self._changes += [] if off is None else [abs(off)]
             self._of[cell] = [*self._of.get(cell, []), look.volume][-RULES.alarms.remembered :]
 
     def jumps(self, now: dict[int, CellLook]) -> dict[int, str]:
-        """Cells whose volume changes as none has done before, and how, in plain words."""
+        """Return the cells whose volume changes as none has before, and how, in plain words."""
         if len(self._changes) < RULES.alarms.known:
             return {}
         usual = RULES.alarms.unusual * float(np.median(self._changes))
@@ -103,14 +103,14 @@ class Volumes:
         return found
 
     def _off(self, cell: int, look: CellLook) -> float | None:
-        """Log of its volume over what is usual; None where one of them is not known or zero."""
+        """Return the log of volume over usual volume; None if one of them is unknown or zero."""
         before = self._of.get(cell)
         usual = float(np.median(before)) if before else 0.0
         return float(np.log(look.volume / usual)) if min(usual, look.volume) > 0 else None
 
 
 def gone(mesh: Mesh, largest: dict[int, float], grid: Grid, width: float) -> dict[int, str]:
-    """Cells that have vanished or left the field of view, and why.
+    """Return the cells that have vanished or left the field of view, and why.
 
     Parameters
     ----------

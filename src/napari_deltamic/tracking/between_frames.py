@@ -1,4 +1,4 @@
-"""What tracking keeps from the good frames so far: the next one starts from it."""
+"""What tracking keeps from the good frames so far, from which the next one starts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .track_rules import RULES
 
 
 def structure_of_next(state: FitState) -> str:
-    """What shines in the frames after one; empty around dark nuclei, which each has to find."""
+    """Return what shines in later frames; empty around dark nuclei, which each frame must find."""
     return "" if state.dimmed is not None else structure_of(state.light)
 
 
@@ -39,11 +39,11 @@ class BetweenFrames:
     mesh, frame
         After the last good frame, and its number.
     optics
-        The PSF that the first good frame was found with, or the first one with that of an
-        objective: all fits start from it, and their priors lie around it. It is one microscope;
-        from frame to frame, PSFs that images hardly tell would drift.
+        The PSF of the fit of the first good frame, or of the first one with a PSF of an objective:
+        all fits start from it, and their priors lie around it. It is one microscope; if each frame
+        started from the last PSF, one that images hardly determine would drift.
     structure
-        What shone in the first good frame, and so does in all others; empty before it.
+        What shines in the first good frame, and hence in all others; empty before it.
     state
         The end of its fit; None before the first.
     edge
@@ -51,12 +51,12 @@ class BetweenFrames:
     quality
         Judges frames by the last good ones.
     looks, volumes, largest, velocities
-        Of each cell: what it looks like, its last volumes, the largest that it has had (um^3), um
-        a frame.
+        Of each cell: volume and centre, last volumes, largest volume so far (um^3), velocity (um a
+        frame).
     next_cell
-        A number that no cell has had.
+        The smallest number that no cell has had.
     first
-        The first frame that is still to be tracked.
+        The first frame to be tracked.
     done
         Good frames of an earlier run, the last ones.
     """
@@ -77,7 +77,7 @@ class BetweenFrames:
         self._grid = grid
 
     def take(self, frame: Frame, state: FitState, mesh: Mesh, events: Sequence[Event]) -> None:
-        """A frame is done. mesh : without the cells that have gone."""
+        """Take over a finished frame. mesh : without the cells that have gone."""
         self.quality.accept(frame.pixels, state.loss)
         self._see(frame.number, mesh, events)
         if (self.state is None and not self.done) or type(state.optics) is not type(self.optics):
@@ -86,15 +86,15 @@ class BetweenFrames:
         self.edge = mesh.median_edge() if self.edge == 0 else self.edge
 
     def two_new_cells(self) -> tuple[int, int]:
-        """Numbers that no cell has had."""
+        """Return two numbers that no cell has had."""
         return self.next_cell, self.next_cell + 1
 
     def named(self, cells: Sequence[int]) -> None:
-        """These numbers are taken."""
+        """Mark these cell numbers as used."""
         self.next_cell = max(self.next_cell, max(cells) + 1)
 
     def resume(self, done: Sequence[FrameResult], settings: FitSettings) -> None:
-        """Go on after the last good one of some results."""
+        """Go on after the last good frame of some results."""
         for result in done:
             for cell in (*result.cells, *(d for e in result.events for d in e.daughters)):
                 self.next_cell = max(self.next_cell, cell + 1)
@@ -110,7 +110,7 @@ class BetweenFrames:
         self.done = dict(sorted(self.done.items())[-RULES.frames.remembered :])
 
     def _left_by(self, result: FrameResult) -> Optics:
-        """The PSF that the fit of a frame ended with, where that is known."""
+        """Return the PSF that the fit of a frame ended with, if known."""
         numbers = torch.tensor(result.psf, dtype=self.optics.parameters().dtype)
         known: list[Optics] = [self.optics]
         if isinstance(self.optics, GaussianPSF):  # a fit may have found another kind
@@ -126,14 +126,14 @@ class BetweenFrames:
         return min(same, key=lambda p: abs(np.log(p.sigma_um) - told).max(), default=self.optics)
 
     def recall(self, frame: Frame, settings: FitSettings, effects: Effects) -> None:
-        """What a frame of an earlier run left behind for those to come."""
+        """Restore what a frame of an earlier run leaves for later ones."""
         result = self.done.get(frame.number)
         if result is None or result.mesh is None:
             return
         if frame.known.any() and np.isfinite(result.loss):
             self.quality.accept(frame.pixels, result.loss)
         if frame.number == self.frame:
-            # The first state of a fit is its start.
+            # Only the first state, which is the start of a fit, is needed.
             settings = settings.model_copy(update={"levels": (1.0,)})
             optics = self._left_by(result) if settings.fit_psf else self.optics
             self.state = next(
@@ -148,12 +148,12 @@ class BetweenFrames:
             )
 
     def expected(self, frame: int, share: float) -> Mapping[int, NDArray[np.float64]]:
-        """um: how far each cell moves until a frame, at a share of its velocity."""
+        """Return how far (um) each cell moves until a frame, at a share of its velocity."""
         frames = frame - self.frame
         return {cell: share * frames * v for cell, v in self.velocities.items()}
 
     def _see(self, frame: int, mesh: Mesh, events: Sequence[Event]) -> None:
-        """The cells as they are now, and how far they have moved since the last good frame."""
+        """Record the cells as they are now, and how they have moved since the last good frame."""
         now, frames = looks(mesh), max(frame - self.frame, 1)
         doubtful = {e.cell for e in events if e.kind == "alarm"}
         self.velocities = {}

@@ -1,4 +1,4 @@
-"""Cells that have divided: an unexplained bright wall inside a cell calls for two daughters."""
+"""Finds cells that have divided: an unexplained bright wall inside one suggests two daughters."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _RULES = RULES.divisions
 
 @dataclass(frozen=True)
 class Proposal:
-    """A plane through a cell, um: where the residual shows a wall.
+    """A plane through a cell (um) where the residual shows a wall.
 
     brightness : relative to a wall of two membranes.
-    evidence : standard deviations of the noise.
+    evidence : in standard deviations of the noise.
     """
 
     cell: int
@@ -47,32 +47,32 @@ class Residual:
         self.sigma = np.asarray(state.optics.sigma_um)
         self.labels = voxel_labels(state.mesh, grid.shape, grid.voxel_size, grid.origin)
         volume = float(np.prod(grid.voxel_size))
-        # Of a flat wall between two cells, where it is seen best.
+        # Peak intensity of a flat wall between two cells, across the widest axis of the PSF.
         self.wall = 2 * state.amplitude * volume / (sqrt(2 * pi) * float(self.sigma.max()))
 
     def deep(self, cell: int, box: tuple[slice, ...]) -> NDArray[np.bool_]:
-        """Whether each voxel of a box is in a cell, beyond the blur of its surface."""
+        """Return which voxels of a box lie in a cell, beyond the blur of its surface."""
         widths = np.asarray(self.grid.voxel_size) / self.sigma
         found: NDArray[np.bool_] = depths(self.labels[box] == cell, widths) > _RULES.interior
         return found
 
     def squared(self, own: NDArray[np.bool_]) -> float:
-        """Sum of the squared residual over some voxels."""
+        """Return the sum of the squared residual over some voxels."""
         return float((self.values[own & self.known] ** 2).sum())
 
 
 def proposals(residual: Residual, mesh: Mesh) -> list[Proposal]:
-    """A plane for each cell whose residual shows a wall, the surest first."""
+    """Return a plane for each cell whose residual shows a wall, the surest first."""
     found = [_proposal(residual, cell) for cell in mesh.region_ids().tolist()]
     return sorted((p for p in found if p is not None), key=lambda p: -p.evidence)
 
 
 def explains(before: Residual, after: Residual, cell: int, folded: bool = False) -> bool:
-    """Whether a wall that was put into a cell explains enough of what was there.
+    """Whether a wall that was put into a cell explains enough of its residual.
 
     The gain in squared residual must be beyond chance, and a fair share of the whole. A single cell
-    that has folded in along the wall (:func:`has_folded`) has the same image as two: then about as
-    much is enough.
+    that has folded in along the wall (:func:`has_folded`) has the same image as two: then it is
+    enough that two explain it about as well.
     """
     own = before.labels == cell
     old, new = before.squared(own), after.squared(own)
@@ -82,9 +82,9 @@ def explains(before: Residual, after: Residual, cell: int, folded: bool = False)
 
 
 def has_folded(start: Residual, end: Residual, wall: Proposal) -> bool:
-    """Whether a cell that was whole at the start of a fit has its surface along a wall at the end.
+    """Whether a cell that was whole at the start of a fit has folded in along a wall at its end.
 
-    A gradient in a cell looks like a wall to a start that is off, but the cell does not fold.
+    If a start is off, a gradient in a cell also looks like a wall, but then the cell does not fold.
     """
     grid, box = start.grid, _box(np.argwhere(start.labels == wall.cell))
     inner = np.argwhere(start.deep(wall.cell, box))
@@ -96,7 +96,7 @@ def has_folded(start: Residual, end: Residual, wall: Proposal) -> bool:
 
 
 def are_daughters(mesh: Mesh, pair: tuple[int, int]) -> bool:
-    """Whether both are there after the fit, neither much smaller than the other."""
+    """Whether both cells are there after the fit, neither much smaller than the other."""
     if not set(pair) <= set(mesh.region_ids().tolist()):
         return False
     volumes = mesh.volumes()
@@ -133,7 +133,7 @@ def _proposal(residual: Residual, cell: int) -> Proposal | None:
 
 
 def _box(places: NDArray[np.signedinteger]) -> tuple[slice, ...]:
-    """Voxels around some, and one more on each side within the image."""
+    """Return the box around some voxels, and one voxel more on each side within the image."""
     low, high = np.maximum(places.min(0) - 1, 0), places.max(0) + 2
     return tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
 
@@ -141,7 +141,7 @@ def _box(places: NDArray[np.signedinteger]) -> tuple[slice, ...]:
 def _best_plane(
     places: FloatArray, values: FloatArray, residual: Residual
 ) -> tuple[FloatArray, float, float, float] | None:
-    """Normal, offset (um), brightness and evidence of the wall that explains most.
+    """Return normal, offset (um), brightness and evidence of the wall that explains most.
 
     A wall adds a ridge of Gaussian section. Its best height at an offset is a ratio of two sums,
     both of which are convolutions of profiles along the normal.
@@ -165,7 +165,7 @@ def _best_plane(
 
 
 def _blurred(profile: FloatArray, kernel: FloatArray) -> FloatArray:
-    """A convolution as long as the profile."""
+    """Convolve a profile; the result is as long as the profile."""
     half = len(kernel) // 2
     found: FloatArray = np.convolve(profile, kernel)[half : half + len(profile)]
     return found
@@ -179,7 +179,7 @@ def _all_around(
     offset: float,
     height: float,
 ) -> bool:
-    """Whether a wall is bright in every direction from its middle: not an edge, not a spot."""
+    """Whether a wall is bright in every direction from its middle, unlike an edge or a spot."""
     width = float(np.sqrt(((residual.sigma * normal) ** 2).sum()))
     away = places @ normal - offset
     near = np.abs(away) < 2 * width
@@ -195,13 +195,13 @@ def _all_around(
     lit = np.bincount(sector, values[near] * shape, _RULES.sectors)
     norm = np.bincount(sector, shape**2, _RULES.sectors)
     heights = lit / np.maximum(norm, 1e-12)
-    # Where a sector has few voxels, noise alone may darken it.
+    # In a sector of few voxels, noise alone may make it dark.
     slack = 2 * residual.noise / np.sqrt(np.maximum(norm, 1e-12))
     return bool((heights + slack > _RULES.least_sector * height).all())
 
 
 def _half_sphere(n: int) -> FloatArray:
-    """(n, 3) unit vectors spread evenly over half a sphere (a spherical Fibonacci lattice)."""
+    """Return (n, 3) unit vectors evenly over half a sphere (a spherical Fibonacci lattice)."""
     k = np.arange(n) + 0.5
     z = 1 - k / n
     angle = pi * (1 + sqrt(5)) * k

@@ -1,4 +1,4 @@
-"""Which frames of a series can be used: one that went wrong at the microscope is left out."""
+"""Decides which frames of a series can be used: those that went wrong are left out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _RULES = RULES.frames
 
 
 def numbered(images: Any, first: int = 0) -> Iterator[tuple[int, NDArray[Any] | str]]:
-    """Frame numbers from ``first`` on, each with its image, or why it cannot be read."""
+    """Yield frame numbers from ``first`` on, each with its image, or why it cannot be read."""
     if hasattr(images, "__getitem__") and hasattr(images, "__len__"):
         for frame in range(first, len(images)):
             try:
@@ -36,7 +36,7 @@ def numbered(images: Any, first: int = 0) -> Iterator[tuple[int, NDArray[Any] | 
 
 
 def check_series(images: Any) -> None:
-    """InputError for what is no series of 3D images, as far as that is known before it is read."""
+    """InputError if images are not a series of 3D images, as far as known before reading."""
     shape = getattr(images, "shape", None)
     if shape is not None and len(shape) != 4:
         kind = "a single 3D image: fit it instead" if len(shape) == 3 else f"shape {tuple(shape)}"
@@ -53,8 +53,8 @@ def check_series(images: Any) -> None:
 class Frame:
     """An image of a series.
 
-    image : float32, with zeros where it is not known.
-    known : where it is.
+    image : (Z, Y, X) float32, 0 where it is not known.
+    known : (Z, Y, X) where it is known.
     """
 
     number: int
@@ -63,7 +63,7 @@ class Frame:
 
     @staticmethod
     def of(number: int, image: NDArray[Any], grid: Grid) -> Frame:
-        """Of an array. InputError for one that is no image of the grid."""
+        """Make a frame from an array. InputError if the array is not an image of the grid."""
         if image.ndim != 3:
             raise InputError(f"frame {number} is not a 3D image: its shape is {image.shape}")
         if image.shape != grid.shape:
@@ -85,7 +85,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class _Look:
-    """How an image looks: contrast (its units), sharpness and saturation (shares)."""
+    """How an image looks: contrast (in its units), sharpness and saturation (shares)."""
 
     contrast: float
     sharpness: float
@@ -93,7 +93,7 @@ class _Look:
 
 
 class Quality:
-    """Judges frames by those before them."""
+    """Judges frames by comparing them with those before."""
 
     def __init__(self, grid: Grid, optics: Optics) -> None:
         self._width = np.asarray(optics.sigma_um) / np.asarray(grid.voxel_size)
@@ -101,7 +101,7 @@ class Quality:
         self._losses: list[float] = []
 
     def flaw(self, image: NDArray[Any]) -> str:
-        """Why an image cannot be used, before it is fitted; "" if it can."""
+        """Say why an image cannot be used, before it is fitted; "" if it can."""
         known = np.isfinite(image)
         if not known.any():
             return "every voxel is missing (NaN)"
@@ -124,7 +124,7 @@ class Quality:
         return ""
 
     def misfit(self, loss: float) -> str:
-        """Why a fit cannot be trusted; "" if it can."""
+        """Say why a fit with this loss cannot be trusted; "" if it can."""
         if not self._losses:
             return ""
         usual = float(np.median(self._losses))
@@ -134,11 +134,11 @@ class Quality:
         return ""
 
     def odd(self, loss: float) -> bool:
-        """Whether another fit may explain the frame better, going by those before."""
+        """Whether the loss is so unusual that another fit may explain the frame better."""
         return bool(self._losses) and loss > _RULES.odd * float(np.median(self._losses))
 
     def accept(self, image: NDArray[Any], loss: float) -> None:
-        """A frame was good: the next ones are measured by it."""
+        """Remember a good frame, with which the next ones are compared."""
         self._looks = [*self._looks, self._look(image, np.isfinite(image))][-_RULES.remembered :]
         self._losses = [*self._losses, loss][-_RULES.remembered :]
 

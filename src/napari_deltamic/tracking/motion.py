@@ -1,4 +1,4 @@
-"""Where cells have gone since the last frame: the start of the next fit."""
+"""Finds where cells have gone since the last frame: the start of the next fit."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _RULES = RULES.motion
 
 @dataclass(frozen=True)
 class Start:
-    """Where a fit may start.
+    """A place where a fit may start.
 
     name : how it was found.
     mesh : um.
-    left : um; how far the membranes still are, about.
+    left : um; about how far away the membranes may still be.
     loss : of the mesh as it is, on blurred images.
     """
 
@@ -41,7 +41,7 @@ class Start:
     loss: float
 
     def levels(self, sigma: float) -> tuple[float, ...]:
-        """Blurs of a fit that starts here: the first one reaches the membranes."""
+        """Return the blurs of a fit that starts here, of which the first reaches the membranes."""
         wide = [b for b in WIDE_LEVELS if b * sigma < self.left]
         reach = WIDE_LEVELS[max(0, len(WIDE_LEVELS) - len(wide) - 1)]
         if reach < _RULES.near:
@@ -58,11 +58,11 @@ def starts(
     optics: Optics,
     velocities: Mapping[int, FloatArray],
 ) -> list[Start]:
-    """Where the fit of a frame may start, the best first.
+    """Return where the fit of a frame may start, the best first.
 
-    As it was; moved on at the velocity of each cell; moved as the images say: all alike, by the
-    peak of the cross-correlation of the last rendered image with the present one, then each cell by
-    that of its surroundings.
+    The mesh as it was; moved on at the velocity of each cell; or moved as the images say: all cells
+    together by the peak of the cross-correlation of the last rendered image with the present one,
+    then each cell by that of its surroundings.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def starts(
 
 
 def shifted(mesh: Mesh, shifts: Mapping[int, FloatArray]) -> Mesh:
-    """The mesh with each region moved, um; smoothly where regions that move apart meet."""
+    """Move each region of a mesh (um), smoothly where regions meet that move differently."""
     size = int(mesh.regions.max()) + 1
     table, counts = np.zeros((size, 3)), np.zeros(size)
     for region, shift in shifts.items():
@@ -111,7 +111,7 @@ def shifted(mesh: Mesh, shifts: Mapping[int, FloatArray]) -> Mesh:
 
 
 class _Score:
-    """Loss of a mesh as it is, on blurred images."""
+    """Computes the loss of a mesh as it is, on blurred images."""
 
     def __init__(
         self, image: NDArray[np.float32], known: NDArray[np.bool_], grid: Grid, optics: Optics
@@ -137,7 +137,7 @@ class _Score:
 def _seen_shifts(
     mesh: Mesh, template: NDArray[np.float32], measured: NDArray[np.float32], grid: Grid
 ) -> dict[int, FloatArray]:
-    """um; how far each region has moved, by the images."""
+    """Return how far (um) each region has moved, according to the images."""
     size = np.asarray(grid.voxel_size)
     reach = np.floor(_RULES.all_by * np.asarray(grid.shape)).astype(int)
     everywhere = _peak(template, measured, np.ones(template.shape, bool), reach)
@@ -159,7 +159,7 @@ def _local(
     shift: FloatArray,
     reach: NDArray[np.int64],
 ) -> FloatArray:
-    """(3,) voxels by which a cell has moved besides the shift of all."""
+    """Return (3,) voxels by which a cell has moved beside the shift of all."""
     if not own.any():
         return np.zeros(3)
     places = np.argwhere(own)
@@ -187,10 +187,10 @@ def _peak(
     reach: NDArray[np.int64],
     room: list[tuple[int, int]] | None = None,
 ) -> FloatArray:
-    """(3,) voxels: the shift of the template at which it correlates best with the measured image.
+    """Return the shift (3,), voxels, of the template that correlates best with the measured image.
 
-    room : by how much the measured image is larger on both sides of each axis; without it both are
-        of one size, and what a shift brings in from beyond the border counts as empty.
+    room : by how much the measured image is larger on both sides of each axis; without it both have
+        the same size, and what a shift brings in from beyond the border counts as empty.
     """
     pads = room if room is not None else [(int(r), int(r)) for r in reach]
     inside = np.ones(measured.shape, np.float32)
@@ -204,7 +204,7 @@ def _peak(
         total: FloatArray = fftconvolve(image.astype(np.float64), kernel[flip], mode="valid")
         return total
 
-    # Rounding of the transform leaves less than a thousandth, by which nothing must be divided.
+    # Below a thousandth it is only rounding of the transform, and must not be a divisor.
     n = np.maximum(over(inside, weights), 1e-3 * weights.sum())
     t, t2 = over(inside, weights * template), over(inside, weights * template**2)
     m, m2 = over(measured, weights), over(measured**2, weights)

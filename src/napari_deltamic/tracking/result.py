@@ -1,4 +1,4 @@
-"""What tracking finds: frames, events, and where each cell comes from."""
+"""The results of tracking: frames, events, and where each cell comes from."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ Known = Annotated[
 class Event:
     """What happened to a cell.
 
-    kind : "divided"; "ended" where it has left or vanished; "alarm" where it may not be the cell
-        any more that it was.
+    kind : "divided"; "ended" if it has left or vanished; "alarm" if it may no longer be the same
+        cell.
     frame, cell : when, and to which.
     text : in plain words.
     daughters : the two numbers of a division.
@@ -46,7 +46,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """A frame that is done; files hold all of it but the mesh, which they have beside it.
+    """The result of one frame; reports hold all of it but the mesh, which has a file of its own.
 
     frame, time : number from 0, and seconds.
     mesh : with a region for each cell that is alive; None where the frame was left out.
@@ -56,7 +56,7 @@ class FrameResult:
     psf : its parameters after the fit, as :meth:`Optics.parameters` gives them; () for unknown.
     structure : what shines, membrane, interior or both; empty where it is not known.
     moving : um: where the surface still moves; None where it rests.
-    grade, judgement : good, fair or poor, and why; empty where nobody has asked.
+    grade, judgement : good, fair or poor, and why; empty if it was not judged.
     judged : the same of each cell, with the predicted error of its shape.
     """
 
@@ -78,7 +78,7 @@ class FrameResult:
 
     @property
     def cells(self) -> tuple[int, ...]:
-        """Numbers of the cells that are there."""
+        """Numbers of the cells in the frame."""
         return () if self.mesh is None else tuple(self.mesh.region_ids().tolist())
 
 
@@ -86,7 +86,7 @@ class FrameResult:
 class TrackState:
     """One step of tracking.
 
-    frame : which is being fitted.
+    frame : the one being fitted.
     mesh : as it is now; None in a frame that is left out.
     fit : the state of the frame's fit; None between fits.
     done : the frame's result, with its last state only.
@@ -104,9 +104,9 @@ class TrackState:
 class Lineage:
     """The life of a cell, as far as it was seen.
 
-    parent : the cell that it was born of; 0 for those of the first frame.
-    first, last : frames.
-    end : why it ends before the series; "" if it does not.
+    parent : the cell that it came from by division; 0 for cells of the first frame.
+    first, last : its first and last frame.
+    end : why it ends before the series does; "" if it does not.
     """
 
     cell: int
@@ -117,7 +117,7 @@ class Lineage:
 
 
 def lineage(results: Iterable[FrameResult]) -> list[Lineage]:
-    """The life of every cell, by its number."""
+    """Return the life of every cell, ordered by number."""
     seen: dict[int, list[int]] = {}
     parents: dict[int, int] = {}
     ends: dict[int, str] = {}
@@ -138,7 +138,7 @@ def lineage(results: Iterable[FrameResult]) -> list[Lineage]:
 def surface_4d(
     results: Sequence[FrameResult],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """One surface of all frames: vertices (N, 4) T, Z, Y, X; faces (M, 3); cell of each vertex.
+    """Join all frames: vertices (N, 4) T, Z, Y, X; faces (M, 3); and the cell of each vertex.
 
     T counts frames, the rest is um. The surface of each cell is closed, so a wall between two is
     there twice: each cell can be shown alone, in its own colour. InputError if no frame has a mesh.

@@ -1,4 +1,4 @@
-"""Tracking: a generator that fits frame after frame and keeps the identities of the cells."""
+"""Tracking: a generator that fits frame after frame and preserves the identities of cells."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def track(
 
     The first frame is fitted from the mesh, each other one from the last good frame, moved on as
     the images or the cells' velocities say, whichever explains the frame best. Region numbers are
-    the identities of cells: a new one is given at each division, none is given twice. A frame that
-    cannot be used is left out with a reason, and the next one starts from the last good frame.
+    the identities of cells: divisions give new numbers, and none is used twice. A frame that cannot
+    be used is left out with a reason, and the next one starts from the last good frame.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def track(
     effects
         Optional parts of image formation by name.
     shared_ground
-        Whether there are membranes in the images that no cell of the mesh describes: voxels nearer
-        to those than to a cell are then left out, frame by frame, or they would pull.
+        Whether the images show membranes that no cell of the mesh describes: voxels nearer to those
+        than to a cell are then left out in each frame, or they would pull at cells.
     done
         Results of an earlier run to go on from: the frames after them are tracked.
 
@@ -85,8 +85,8 @@ def track(
     Raises
     ------
     InputError
-        Where the images are no series, a frame has another shape, the first frame cannot be fitted,
-        or every frame is bad.
+        If the images are no series, a frame has another shape, the first frame cannot be fitted, or
+        every frame is bad.
     """
     check_series(images)
     tracking = tracking or TrackSettings()
@@ -98,7 +98,7 @@ def track(
     return tracker.states(images)
 
 
-Blur = Literal["near", "wider", "all"]  # just enough, with room, and that of a first frame
+Blur = Literal["near", "wider", "all"]  # just enough, some more, and that of a first frame
 
 
 @dataclass
@@ -116,7 +116,7 @@ class _Tracker:
     # ----------------------------------------------------------------------------------- frames
 
     def states(self, images: Any) -> States:
-        """A state for every iteration, and one for every frame."""
+        """Yield a state for every iteration, and one for every frame."""
         past, reasons, count = self.past, list[str](), 0
         begin = min(past.done, default=past.first)
         numbers: Any = numbered(images, begin)
@@ -147,7 +147,7 @@ class _Tracker:
             raise InputError(f"tracking needs two frames or more, not {count}")
 
     def _frame(self, frame: Frame) -> Generator[TrackState, None, str]:
-        """Fit a frame; returns why it is to be left out, or ""."""
+        """Fit a frame; returns why it must be left out, or ""."""
         began, past = time.monotonic(), self.past
         flaw = past.quality.flaw(frame.pixels)
         if flaw:
@@ -159,7 +159,7 @@ class _Tracker:
         ]
         if self.tracking.divisions and past.state is not None:
             state = yield from self._divide(frame, state, early, events)
-        # After that: a cell that has divided is badly explained until it has two daughters.
+        # Only now: a cell that has divided is badly explained until it has two daughters.
         flaw = past.quality.misfit(state.loss)
         if flaw:
             return flaw
@@ -184,11 +184,11 @@ class _Tracker:
     def _tried(
         self, frame: Frame
     ) -> Generator[TrackState, None, tuple[FitState, FitState | None, dict[int, str]]]:
-        """The fit that is trusted and raises fewest alarms, its first state, and those alarms.
+        """Return the trusted fit that raises fewest alarms, its first state, and those alarms.
 
-        Where the best start raises any, or ends with a loss that is not usual, the second best is
-        tried with more blur, and then the best one again from as much blur as a first frame has:
-        what a frame starts from may lie in the basin of another optimum.
+        If the best start raises any, or ends with an unusual loss, the second best is tried with
+        more blur, and then the best one again with as much blur as a first frame: a start may lie
+        in the basin of another optimum.
         """
         tries, quality = self._starts(frame), self.past.quality
         wider: list[tuple[Start, Blur]] = [(start, "wider") for start in tries[1:2]]
@@ -204,7 +204,7 @@ class _Tracker:
         )
 
     def _alarms(self, mesh: Mesh, start: Mesh) -> dict[int, str]:
-        """Cells of a fit that may not be what they were, and why; none in the first frame."""
+        """Return cells that may have lost their identity, and why; none in the first frame."""
         past = self.past
         if past.state is None:
             return {}
@@ -224,9 +224,9 @@ class _Tracker:
     def _fit(
         self, frame: Frame, start: Start, blur: Blur = "near"
     ) -> Generator[TrackState, None, tuple[FitState, FitState | None]]:
-        """The last state of a fit from a start, with all remarks, and the first one.
+        """Fit from a start; return the last state, with all remarks, and the first one.
 
-        Those on the way are yielded.
+        The states on the way are yielded.
         """
         remarks: list[str] = []
         settings = self.settings
@@ -255,7 +255,7 @@ class _Tracker:
         return replace(state, message="; ".join(told)), early
 
     def _renewed(self, mesh: Mesh) -> Mesh:
-        """Good triangles of the size that they had in the first frame."""
+        """Remesh to good triangles of the size that they had in the first frame."""
         if not (self.settings.remesh and can_remesh()) or self.past.state is None:
             return mesh
         rules = RULES.meshes
@@ -274,10 +274,10 @@ class _Tracker:
         early: FitState | None,
         events: list[Event],
     ) -> Generator[TrackState, None, FitState]:
-        """Put walls into cells that call for one, as long as they explain the image better.
+        """Put walls into cells whose residual shows one, as long as that explains the image better.
 
-        At the end of a fit a single cell may have folded in along a wall and explain it: where
-        nothing is left to see, what its start (``early``) left is looked at.
+        At the end of a fit a single cell may have folded in along a wall and so explain it: if the
+        residual shows nothing, that of its start (``early``) is used.
         """
         refused: set[int] = set()
         rounds = 0
@@ -324,7 +324,7 @@ class _Tracker:
         return state
 
     def _without_gone(self, frame: int, state: FitState, events: list[Event]) -> Mesh | None:
-        """The mesh without cells that have gone; their tracks end."""
+        """Remove cells that have gone, whose tracks end; None if none is left."""
         mesh: Mesh | None = state.mesh
         present = set(state.mesh.region_ids().tolist())
         ended = {e.cell for e in events if e.kind == "divided"}

@@ -12,26 +12,26 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class FrameRules:
-    """Which frames are used.
+    """Numbers that decide which frames are used.
 
     Attributes
     ----------
     known
-        Share of voxels that must be there: with fewer, most cells would have no image.
+        Least share of known voxels: with fewer, most cells would have no image.
     dim, blurred
         Least contrast and sharpness, relative to the median of the frames remembered. That follows
         bleaching; only a shutter or a lost focus is beyond it.
     saturated, many_times
         Largest share of voxels at the largest value, and how many times the usual share it must
-        exceed too, so that stacks with a few full voxels are used.
+        also exceed, so that stacks with a few saturated voxels are used.
     worse, much
-        A fit is not believed whose loss is this many times the usual, and larger by this much:
+        A fit is not trusted if its loss is this many times the usual, and larger by this much:
         noise and growth change it less, and losses near 0 would be compared by noise otherwise.
     odd
         Times the usual loss beyond which a frame is fitted again. Measured: 21 frames of a real
         droplet had 0.9 to 1.2 times the usual, and 1.6 where the fit had ended elsewhere.
     remembered
-        Frames that are the usual: an odd number, so that one bad frame is not the median.
+        Number of frames that define what is usual: odd, so that one bad frame is not the median.
     background, brightest
         Percentiles of a frame that are its dark and bright level; single hot voxels would decide
         otherwise.
@@ -55,7 +55,7 @@ class FrameRules:
 
 @dataclass(frozen=True)
 class MotionRules:
-    """Where the fit of a frame may start.
+    """Numbers that decide where the fit of a frame may start.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class MotionRules:
 
 @dataclass(frozen=True)
 class DivisionRules:
-    """When a cell has divided.
+    """Numbers that decide whether a cell has divided.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class DivisionRules:
 
 @dataclass(frozen=True)
 class AlarmRules:
-    """When a cell is no longer the one that it was, or has gone.
+    """Numbers that decide whether a cell has lost its identity, or has gone.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ class AlarmRules:
 
 @dataclass(frozen=True)
 class MeshRules:
-    """When the mesh of the last frame is remeshed for the next.
+    """Numbers that decide whether the mesh of the last frame is remeshed for the next.
 
     Attributes
     ----------
@@ -206,7 +206,7 @@ class MeshRules:
 
 @dataclass(frozen=True)
 class TrackRules:
-    """All of them, as they are saved with a track."""
+    """All rules of tracking, as they are saved with a track."""
 
     frames: FrameRules = field(default_factory=FrameRules)
     motion: MotionRules = field(default_factory=MotionRules)

@@ -1,8 +1,8 @@
 """Transforms on NVIDIA GPUs: kernels compiled at first use (NVRTC), kept on disk.
 
-Nothing but torch and ``cuda-bindings`` is needed, which CUDA builds of torch bring along; no CUDA
-toolkit. Where a piece is missing fits run on the CPU, and :func:`missing` says why; points that lie
-on a GPU all the same are spread by torch there, and the closed form goes to the CPU.
+They need only torch and ``cuda-bindings``, which CUDA builds of torch install, and no CUDA toolkit.
+If something is missing, fits run on the CPU and :func:`missing` says why; points that lie on a GPU
+all the same are then spread by torch there, and the closed form is computed on the CPU.
 """
 
 from .device import missing

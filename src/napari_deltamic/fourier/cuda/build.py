@@ -1,4 +1,4 @@
-"""How the kernels are compiled and launched, and what is told where memory is short."""
+"""How the kernels are compiled and launched, and the warning if memory is short."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ class OutOfMemoryWarning(UserWarning):
 
 
 def pointer(t: torch.Tensor) -> ctypes.c_void_p:
-    """Where its numbers lie, as a kernel takes it."""
+    """Return the address of a tensor's numbers, as kernels take it."""
     return ctypes.c_void_p(t.data_ptr())
 
 
 @dataclass(frozen=True)
 class Build:
-    """A source in ``csrc`` and what it is compiled with.
+    """A source file in ``csrc`` and the constants it is compiled with.
 
-    real : type of the inner loops. threads : in a block.
+    real : number type of the inner loops. threads : number of threads in a block.
     """
 
     real: str
@@ -102,7 +102,7 @@ class Kernels(Protocol[Of]):
 
     @property
     def build(self) -> Of:
-        """What they were made with."""
+        """The build from which they were compiled."""
 
     def launch(self, name: str, grid: tuple[int, int], arguments: Sequence[Any]) -> None:
         """Start a kernel on the current stream; the arguments are ctypes values."""

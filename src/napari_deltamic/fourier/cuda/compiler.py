@@ -18,7 +18,7 @@ from ...errors import InputError
 from .build import CLOSED_FORM, POINTS, Build
 
 BUILDS = (*CLOSED_FORM.values(), *POINTS.values())
-# Divisions to 2 units in the last place: none of them decides about more than rounding.
+# Divisions may be off by 2 units in the last place, which changes results only by rounding.
 _OPTIONS = ("--std=c++17", "--prec-div=false")
 
 
@@ -28,19 +28,19 @@ class CompilerError(RuntimeError):
 
 @dataclass(frozen=True)
 class Compiled:
-    """A module for the driver, and what the compiler said."""
+    """A compiled module for the driver, and the compiler's log."""
 
     code: bytes
     log: str
 
 
 def source_folder() -> Path:
-    """Where the sources lie: in the checkout of an editable installation, or beside this file.
+    """Return the folder of the sources: the checkout of an editable install, or beside this file.
 
     Raises
     ------
     CompilerError
-        If they are nowhere: the package was installed without its compiled part.
+        If there are none: the package was installed without its compiled part.
     """
     from . import __path__ as here
 
@@ -59,7 +59,7 @@ def _sources(build: Build) -> dict[str, bytes]:
 
 
 def nvrtc() -> Any:
-    """The bindings of NVRTC, its library loaded.
+    """Return the bindings of NVRTC, with its library loaded.
 
     Raises
     ------
@@ -79,13 +79,13 @@ def nvrtc() -> Any:
 
 
 def version() -> tuple[int, int]:
-    """The version of NVRTC."""
+    """Return the version of NVRTC, (major, minor)."""
     _, major, minor = nvrtc().nvrtcVersion()
     return int(major), int(minor)
 
 
 def architecture(capability: tuple[int, int]) -> str:
-    """What to compile for: the device itself, or the newest that NVRTC knows as PTX.
+    """Return the target: the device itself, or PTX for the newest one that NVRTC knows.
 
     The driver translates PTX for devices that are newer than the compiler.
     """
@@ -100,22 +100,22 @@ def architecture(capability: tuple[int, int]) -> str:
 
 
 def kernels_for(build: Build, target: str, anew: bool = False) -> bytes:
-    """A module for a target such as ``sm_90``, from disk where it was compiled before."""
+    """Return the module for a target such as ``sm_90``, from disk if it was compiled before."""
     path = _kept_file(build, target)
     with suppress(OSError):
         if not anew and _is_ours(path) and (code := path.read_bytes()):
             return code
     code = compile_kernels(build, target).code
-    with suppress(OSError, InputError):  # a folder that cannot be written to is no reason to fail
+    with suppress(OSError, InputError):  # works without a writable folder, too
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_atomically(path, code)
     return code
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether nobody else may have put a file there: what it holds is run on the GPU.
+    """Whether only this user can have written a file, whose content is run on the GPU.
 
-    Raises OSError where it is missing.
+    Raises OSError if it is missing.
     """
     if sys.platform == "win32":  # a folder of the user's, by default
         return True
@@ -124,12 +124,12 @@ def _is_ours(path: Path) -> bool:
 
 
 def kept_folder() -> Path:
-    """Where compiled kernels are kept."""
+    """Return the folder in which compiled kernels are kept."""
     return cache_folder() / "kernels"
 
 
 def _kept_file(build: Build, target: str) -> Path:
-    """Named after all that the code depends on."""
+    """Return the file of a compiled module, named after everything that its code depends on."""
     parts = [target, str(version()), *build.defines, *_OPTIONS]
     digest = hashlib.sha256(b"\0".join([*map(str.encode, parts), *_sources(build).values()]))
     stem = build.source.removesuffix(".cu")
@@ -142,7 +142,7 @@ def compile_kernels(build: Build, target: str, options: tuple[str, ...] = ()) ->
     Raises
     ------
     CompilerError
-        If NVRTC is missing or refuses the source; with what it said.
+        If NVRTC is missing or refuses the source, with its log.
     """
     library, sources = nvrtc(), _sources(build)
     headers, names = (

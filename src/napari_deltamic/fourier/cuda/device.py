@@ -1,4 +1,4 @@
-"""Compiled kernels on a device, or the reason why there are none."""
+"""Loads compiled kernels on a device, or says why it cannot."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class NoGpuWarning(UserWarning):
 
 @cache
 def missing() -> str:
-    """What keeps the GPU from being used, in one sentence with the remedy; empty if nothing."""
+    """Say in one sentence what keeps the GPU from being used, with the remedy; "" if nothing."""
     driver = driver_version()
-    # A torch for GPUs of AMD says that CUDA is available.
+    # Builds of torch for AMD GPUs say that CUDA is available, too.
     if driver is None and (torch.version.cuda is None or not torch.cuda.is_available()):
         return "no NVIDIA GPU is found, or its driver is missing"
     if torch.version.cuda is None:
@@ -45,10 +45,10 @@ def missing() -> str:
         remedy = INSTALL_BINDINGS
         if "sources" in str(error):
             remedy = "reinstall napari-deltamic"
-        elif "library" in str(error):  # bindings of another CUDA than torch brings along
+        elif "library" in str(error):  # the bindings are for another CUDA than torch's
             remedy = own
         return f"{error}: {remedy}"
-    # What a compiler of a newer CUDA makes, the driver does not load.
+    # The driver does not load what the compiler of a newer CUDA makes.
     major, minor = compiler.version()
     if driver is not None and major > driver[0]:
         runs = f"the driver runs CUDA {driver[0]}.{driver[1]}"
@@ -62,13 +62,13 @@ def _tell(what: str, reason: str) -> None:
 
 
 def kernels(device: torch.device, single: bool) -> DeviceKernels[ClosedFormBuild] | None:
-    """The closed form on a CUDA device; None (after one warning) where it cannot be had."""
+    """Return the closed form's kernels on a CUDA device; None, after one warning, if impossible."""
     what = "the closed form runs on the CPU, not on the GPU"
     return _loaded(device, CLOSED_FORM[single], what)
 
 
 def point_kernels(device: torch.device, single: bool) -> DeviceKernels[PointBuild] | None:
-    """Spreading and gathering; None (after one warning) where they cannot be had."""
+    """Return kernels for spreading and gathering; None, after one warning, if impossible."""
     return _loaded(device, POINTS[single], "the GPU computes several times slower than it could")
 
 
@@ -89,7 +89,7 @@ _modules: dict[tuple[int, Any], Any] = {}
 
 
 def _kept(index: int, build: Made) -> DeviceKernels[Made] | str:
-    """The kernels, or why they cannot be had: asked once, since compiling takes seconds."""
+    """Return kernels, or why there are none; tried only once, since compiling takes seconds."""
     with _lock:  # two threads would compile the same
         if (index, build) not in _modules:
             try:
@@ -105,14 +105,14 @@ class CudaError(RuntimeError):
 
 
 class DeviceKernels(Generic[Of]):
-    """The kernels of one build, loaded into the context that torch uses of a device.
+    """The kernels of one build, loaded into the context that torch uses on a device.
 
     Raises
     ------
     CompilerError
         If they cannot be compiled for this device.
     CudaError
-        If the driver does not take them.
+        If the driver cannot load them.
     """
 
     def __init__(self, index: int, build: Of) -> None:

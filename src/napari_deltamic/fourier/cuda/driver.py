@@ -1,4 +1,4 @@
-"""The NVIDIA driver, asked without torch: whether there is a card, and what it can run."""
+"""Queries the NVIDIA driver without torch: whether there is a card, and which CUDA it runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _WHEELS = (((13, 0), "cu130"), ((12, 6), "cu126"))
 
 @cache
 def driver_version() -> tuple[int, int] | None:
-    """Newest CUDA (major, minor) that the driver runs; None where there is no card or no driver."""
+    """Return the newest CUDA (major, minor) that the driver runs; None without card or driver."""
     try:
         library = ctypes.CDLL(_LIBRARY)
         count, version = ctypes.c_int(0), ctypes.c_int(0)
@@ -30,7 +30,7 @@ def driver_version() -> tuple[int, int] | None:
 
 
 def torch_for(driver: tuple[int, int]) -> str:
-    """What to type for a torch that a driver can run."""
+    """Return the command that installs a torch which a driver can run."""
     for needed, wheels in _WHEELS:
         if driver >= needed:
             return f"pip install -U torch --index-url https://download.pytorch.org/whl/{wheels}"

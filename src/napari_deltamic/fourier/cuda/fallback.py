@@ -1,4 +1,4 @@
-"""What an operator for GPUs does where something is missing: it goes to the CPU and back."""
+"""Runs operators for GPUs on the CPU if something is missing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def on_cpu(operator: Any, *arguments: Any, back_to: torch.device) -> Any:
-    """Results of an operator's kernel for CPUs, one tensor or several, on a device."""
+    """Run an operator's CPU kernel and return its results, one tensor or several, on a device."""
     given = (a.detach().resolve_conj().cpu() if isinstance(a, Tensor) else a for a in arguments)
     found = operator(*given)
     if isinstance(found, Tensor):

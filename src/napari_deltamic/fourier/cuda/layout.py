@@ -1,4 +1,4 @@
-"""What follows from a band or from the faces of a mesh alone, on the device, and is kept."""
+"""Arrays on the device that depend only on a band or on the faces of a mesh, and are kept."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _incidences: Kept[tuple[Tensor, Tensor, Tensor]] = Kept(_KEPT)
 
 
 def layout_of(rows: Tensor, device: torch.device, width: int) -> Layout:
-    """The segments of a band; the last few are kept, so that a fit does not make them anew."""
+    """Return the segments of a band; the last few are kept, so that a fit need not remake them."""
     known = contents(rows)
     key = None if known is None else (known, device, stream_of(device), width)
     return _layouts.get(key, lambda: _cut(rows, device, width))
@@ -55,7 +55,7 @@ def _cut(rows: Tensor, device: torch.device, width: int) -> Layout:
 
 
 def corners_of_vertices(faces: Tensor, vertices: int) -> tuple[Tensor, Tensor]:
-    """Corners (3F,) in the order of their vertices, and where each vertex begins (V + 1,)."""
+    """Return corners (3F,) sorted by vertex, and where those of each vertex begin (V + 1,)."""
 
     def make() -> tuple[Tensor, Tensor, Tensor]:
         ordered, order = torch.sort(faces.reshape(-1), stable=True)
@@ -68,9 +68,9 @@ def corners_of_vertices(faces: Tensor, vertices: int) -> tuple[Tensor, Tensor]:
 
 
 def contents(t: Tensor) -> Hashable | None:
-    """Stands for the contents of a tensor, as long as that is alive; None where nothing can.
+    """Return a key for a tensor's contents, valid while the tensor is alive; None if impossible.
 
-    Tensors of ``torch.inference_mode`` do not count their changes.
+    It is impossible in ``torch.inference_mode``, whose tensors do not count their changes.
     """
     if t.is_inference():
         return None
@@ -78,5 +78,5 @@ def contents(t: Tensor) -> Hashable | None:
 
 
 def stream_of(device: torch.device) -> int:
-    """Handle of torch's current stream: what was made on one is not yet there on another."""
+    """Return the handle of torch's current stream; other streams may not see its results yet."""
     return int(torch.cuda.current_stream(device).cuda_stream) if device.type == "cuda" else 0

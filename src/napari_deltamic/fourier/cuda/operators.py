@@ -1,7 +1,7 @@
 """Registers the kernels with torch, beside those for the CPU (:mod:`..closed_form`).
 
-Autograd, ``torch.compile`` and dispatch by device follow. Where the kernels cannot be had, the
-tensors go to the CPU and back: slow, and told once.
+Autograd, ``torch.compile`` and dispatch by device then work. If the kernels are missing, the
+computation runs on the CPU, which is slow and gives one warning.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the kernels of ``csrc/particle_mesh_cuda.cu`` are launched on, and in which order.
+"""Launches the kernels of ``csrc/particle_mesh_cuda.cu`` in the right order on the right arrays.
 
 Like :mod:`.transform`, it does not depend on where they run.
 """
@@ -67,7 +67,7 @@ class _Elements:
         self.rules = _Rules(*(p.data_ptr() for p in places), self.corners)
 
     def located(self, density: Tensor, vectors: Tensor | None = None) -> Tensor:
-        """The points, on the grid; opaque."""
+        """Return the points located on the grid, in a format that only kernels read."""
         size = self.kernels.build.point_bytes * self.listed.count
         out = torch.empty(size, dtype=torch.uint8, device=self.device)
         self._launch(
@@ -88,7 +88,7 @@ class _Elements:
         return out
 
     def on_grid(self, name: str, planes: int, located: Tensor, *arrays: Tensor) -> None:
-        """Launch what takes points, the grid and some arrays."""
+        """Launch a kernel that takes points, the grid and some arrays."""
         self._launch(
             name,
             self.listed.count,
@@ -101,7 +101,7 @@ class _Elements:
         )
 
     def summed(self, field: Tensor, slopes: bool) -> Tensor:
-        """(E, corners, 1 or 4) from a field on the grid."""
+        """Return sums (E, corners, 1 or 4) of a field on the grid over the elements' points."""
         parts, what = (4, "slopes") if slopes else (1, "values")
         field = field.to(self.real).contiguous()
         ones = torch.ones(self.count, dtype=torch.float64, device=self.device)
@@ -124,7 +124,7 @@ class _Elements:
         return sums
 
     def pulled(self, density: Tensor, sums: Tensor) -> tuple[Tensor, Tensor]:
-        """Gradients by corner (E, corners, 3) and by density (E,)."""
+        """Return gradients in corners (E, corners, 3) and densities (E,)."""
         by_corner = torch.empty(
             self.count, self.corners, 3, dtype=torch.float64, device=self.device
         )
@@ -160,7 +160,7 @@ def spread(
     device: torch.device,
     vectors: Tensor | None = None,
 ) -> Tensor:
-    """(Z, Y, X) grid; see :func:`napari_deltamic.fourier.particle_mesh.spread`."""
+    """Spread as :func:`napari_deltamic.fourier.particle_mesh.spread` does."""
     e = _Elements(kernels, vertices, elements, points, spreading, device)
     along = None if vectors is None else _double(vectors, device)
     located = e.located(_double(density, device), along)
@@ -179,7 +179,7 @@ def gather(
     field: Tensor,
     slopes: bool,
 ) -> Tensor:
-    """See :func:`napari_deltamic.fourier.particle_mesh.gather`."""
+    """Gather as :func:`napari_deltamic.fourier.particle_mesh.gather` does."""
     e = _Elements(kernels, vertices, elements, points, spreading, field.device)
     return e.summed(field, slopes)
 
@@ -193,7 +193,7 @@ def pull(
     spreading: Spreading,
     field: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """See :func:`napari_deltamic.fourier.particle_mesh.pull`."""
+    """Pull as :func:`napari_deltamic.fourier.particle_mesh.pull` does."""
     e = _Elements(kernels, vertices, elements, points, spreading, field.device)
     by_corner, by_density = e.pulled(_double(density, field.device), e.summed(field, True))
     by_vertex = torch.zeros(len(vertices), 3, dtype=torch.float64, device=field.device)

@@ -1,4 +1,4 @@
-"""What the kernels of ``csrc/mesh_ft_cuda.cu`` are launched on, and in which order.
+"""Launches the kernels of ``csrc/mesh_ft_cuda.cu`` in the right order on the right arrays.
 
 Independent of where they run: a :class:`Kernels` has a ``launch`` and arrays live on the device of
 the vertices. On a GPU that is :mod:`.device`; the tests run the same code on the host.
@@ -37,7 +37,7 @@ def band_forward(
     rows: Tensor,
     spacing: Sequence[float],
 ) -> Tensor:
-    """As ``deltamic::band_ft``."""
+    """Compute ``deltamic::band_ft`` with the kernels; same arguments, (K,) complex result."""
     layout = layout_of(rows, vertices.device, kernels.build.width)
     mesh = _Mesh(vertices, faces, density)
     if not mesh.count or not layout.wavevectors:
@@ -72,7 +72,7 @@ def band_backward(
     rows: Tensor,
     spacing: Sequence[float],
 ) -> tuple[Tensor, Tensor]:
-    """As ``deltamic::band_ft_backward``."""
+    """Compute ``deltamic::band_ft_backward``: gradients in vertices and densities."""
     layout = layout_of(rows, vertices.device, kernels.build.width)
     mesh = _Mesh(vertices, faces, density)
     if not mesh.count or not layout.wavevectors:
@@ -106,7 +106,7 @@ def band_backward(
 def list_forward(
     kernels: Kernels, vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor
 ) -> Tensor:
-    """As ``deltamic::mesh_ft``."""
+    """Compute ``deltamic::mesh_ft`` with the kernels; same arguments, (K,) complex result."""
     mesh = _Mesh(vertices, faces, density)
     xi = wavevectors.to(torch.float64).contiguous()
     if not mesh.count or not len(xi):
@@ -139,7 +139,7 @@ def list_backward(
     density: Tensor,
     wavevectors: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """As ``deltamic::mesh_ft_backward``."""
+    """Compute ``deltamic::mesh_ft_backward``: gradients in vertices and densities."""
     mesh = _Mesh(vertices, faces, density)
     xi = wavevectors.to(torch.float64).contiguous()
     if not mesh.count or not len(xi):
@@ -219,7 +219,7 @@ def _prepare_list(kernels: Kernels, mesh: _Mesh, backward: bool) -> Tensor:
 def _parts(
     kernels: Kernels, work: int, across: int, size: int, dtype: torch.dtype, device: torch.device
 ) -> tuple[int, int, Tensor]:
-    """Into how many parts the work of a thread is cut, how long each is, and room for their sums.
+    """Return how many parts a thread's work is cut into, their length, and room for their sums.
 
     A grid of ``across`` blocks alone would leave most of a large GPU idle. Parts are multiples of a
     tile; their number depends on the problem and the device alone, and so do the bits of a result.
@@ -248,7 +248,7 @@ def _summed(
     across: int,
     run: Callable[[int, int, Tensor], None],
 ) -> Tensor:
-    """Parts of the faces, run and added up; (K,) complex."""
+    """Run the parts of the faces and add up their results; (K,) complex."""
     device = mesh.vertices.device
     parts, per_part, sums = _parts(
         kernels, mesh.count, across, wavevectors, _complex(kernels), device
@@ -270,7 +270,7 @@ def _gradients(
     vertices: Tensor,
     density: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """From sums per face to gradients of vertices and densities."""
+    """Turn sums per face into gradients in vertices (V, 3) and densities (F,)."""
     device, number = vertices.device, len(vertices)
     corners = torch.empty(9 * mesh.count, dtype=torch.float64, device=device)
     by_density = torch.empty(mesh.count, dtype=torch.float64, device=device)

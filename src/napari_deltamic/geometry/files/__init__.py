@@ -121,9 +121,9 @@ def save_mesh(
 
 
 def _remarks(mesh: Mesh, named: bool) -> list[str]:
-    """What cannot be repaired safely, and may be in the way: borders, and too many walls.
+    """Describe what cannot be repaired safely but may cause trouble: borders, and too many walls.
 
-    named : whether the file says which cells there are.
+    named : whether the file names the regions of its faces.
     """
     found = []
     parts = 1 if named else int(pieces(mesh).max()) + 1
@@ -153,5 +153,5 @@ def _format(path: Path) -> MeshFormat:
 
 
 def _function(verb: str, kind: MeshFormat) -> Any:
-    """What reads or writes a format; loaded when it is needed."""
+    """Return the function that reads or writes a format; its module is loaded only now."""
     return getattr(import_module(f"{__name__}.{kind.name}"), f"{verb}_{kind.name}")

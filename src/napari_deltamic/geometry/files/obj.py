@@ -16,7 +16,7 @@ _GROUP = re.compile(r"region_(\d+)_(\d+)")
 
 
 def read_obj(data: bytes) -> RawMesh:
-    """Positions, polygons, region groups. (trimesh drops groups and splits by material.)"""
+    """Read positions, polygons and region groups (trimesh drops groups and splits by material)."""
     xyz: list[list[float]] = []
     corners: list[tuple[int, int, int]] = []
     pairs: list[tuple[int, int] | None] = []
@@ -55,7 +55,7 @@ def read_obj(data: bytes) -> RawMesh:
 
 
 def _obj_index(word: str, n_vertices: int) -> int:
-    """Indices start at 1; negative ones count back from the last vertex so far."""
+    """Convert a file's index: from 1, or negative, counted back from the last vertex so far."""
     index = int(word.partition("/")[0])
     if index == 0:
         raise ValueError("index 0")

@@ -9,12 +9,12 @@ from .with_trimesh import read_with_trimesh
 
 
 def read_off(data: bytes) -> RawMesh:
-    """Positions, and polygons cut into triangles."""
+    """Read positions and polygons, which are cut into triangles."""
     return read_with_trimesh(data, "off")[0]
 
 
 def write_off(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
-    """Text with every digit."""
+    """Write a text file with every digit of the positions."""
     faces = outward(faces, regions)
     lines = ["OFF", f"{len(xyz)} {len(faces)} 0"]
     lines += [f"{x!r} {y!r} {z!r}" for x, y, z in xyz.tolist()]

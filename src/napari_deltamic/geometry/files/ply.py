@@ -12,11 +12,11 @@ from ..mesh import FloatArray, IntArray
 from .raw import RawMesh
 from .with_trimesh import read_with_trimesh
 
-_LARGEST = np.iinfo(np.int32).max  # region that integers of files hold
+_LARGEST = np.iinfo(np.int32).max  # largest region number that integers of a file hold
 
 
 def read_ply(data: bytes) -> RawMesh:
-    """Positions, polygons cut into triangles, and regions where they are there."""
+    """Read positions, polygons (cut into triangles) and, where the file has them, regions."""
     raw, part = read_with_trimesh(data, "ply")
     return raw if part is None else raw._replace(regions=_regions(part, len(raw.faces)))
 
@@ -38,11 +38,11 @@ def write_ply(
     regions: IntArray,
     attributes: Mapping[str, FloatArray] | None = None,
 ) -> bytes:
-    """Binary, in double precision (trimesh writes floats: 7 digits).
+    """Write a binary file in double precision (trimesh writes floats: 7 digits).
 
-    Attributes (F,) are further properties of the faces.
+    Attributes, (F,) each, become further properties of the faces.
     """
-    # The format has no larger integers.
+    # The format has no integers of 64 bits, so larger numbers are written as doubles.
     name, kind = ("double", "<f8") if regions.max() > _LARGEST else ("int", "<i4")
     more = attributes or {}
     header = (

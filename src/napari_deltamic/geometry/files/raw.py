@@ -1,4 +1,4 @@
-"""What readers of mesh files hand on: a mesh before any repair."""
+"""The unrepaired mesh that readers of mesh files return."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from ..mesh import FloatArray, IntArray
 
 
 class RawMesh(NamedTuple):
-    """What a file holds: positions in x, y, z, before any repair.
+    """The content of a mesh file, before any repair.
 
-    xyz : (V, 3); faces : (F, 3) from 0; regions : (F, 2), or None where the format has none.
+    xyz : (V, 3) positions; faces : (F, 3) indices from 0; regions : (F, 2), or None without any.
     messages : what the reader had to leave out, in plain words.
     """
 

@@ -40,7 +40,7 @@ def read_rec(data: bytes) -> RawMesh:
 
 
 def _read_binary(data: bytes) -> RawMesh | None:
-    """None unless both counts fit the size of the file exactly, as text never does."""
+    """Read the binary variant; None unless both counts fit the file's size, as text never does."""
     if len(data) < 16:
         return None
     (n_vertices,) = struct.unpack_from("<Q", data)

@@ -13,7 +13,7 @@ from .with_trimesh import read_with_trimesh
 
 
 def read_stl(data: bytes) -> RawMesh:
-    """Triangles, with equal corners joined."""
+    """Read triangles; equal corners become one vertex."""
     raw = read_with_trimesh(data, "stl")[0]
     # STL has no shared vertices: joining exact copies is reading, not repairing.
     xyz, index = np.unique(raw.xyz, axis=0, return_inverse=True)
@@ -21,7 +21,7 @@ def read_stl(data: bytes) -> RawMesh:
 
 
 def write_stl(xyz: FloatArray, faces: IntArray, regions: IntArray) -> bytes:
-    """About 7 digits, which is what the format has."""
+    """Write a binary file with about 7 digits, the precision of the format."""
     import trimesh
 
     solid: Any = trimesh.Trimesh(xyz, outward(faces, regions), process=False)

@@ -1,8 +1,8 @@
 """Legacy .vtk files; regions are the cell data region_a and region_b.
 
 The format is that of "VTK File Formats", The VTK User's Guide: a header of four lines, then blocks
-named by keywords, as text or big-endian binary. Read: POLYDATA and UNSTRUCTURED_GRID, up to version
-5.1, of which the polygons count. Written: version 3.0, POLYDATA, binary, doubles.
+named by keywords, as text or big-endian binary. Read: the polygons of POLYDATA and
+UNSTRUCTURED_GRID, up to version 5.1. Written: version 3.0, POLYDATA, binary, doubles.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _PER_TUPLE = {"NORMALS": 3, "VECTORS": 3, "TENSORS": 9}
 
 
 def read_vtk(data: bytes) -> RawMesh:
-    """Positions, polygons cut into triangles, and regions where they are there."""
+    """Read positions, polygons (cut into triangles) and, where the file has them, regions."""
     return _Reader(data).mesh()
 
 
@@ -51,7 +51,7 @@ def write_vtk(
     regions: IntArray,
     attributes: Mapping[str, FloatArray] | None = None,
 ) -> bytes:
-    """Binary POLYDATA in double precision; attributes (F,) are further cell data."""
+    """Write binary POLYDATA in double precision; attributes, (F,) each, become cell data."""
     cells = np.column_stack([np.full(len(faces), 3), faces])
     blocks = [
         b"# vtk DataFile Version 3.0\nmesh in um, x y z\nBINARY\nDATASET POLYDATA\n",
@@ -70,7 +70,7 @@ def write_vtk(
 
 
 class _Reader:
-    """A place in a file, and what was found before it."""
+    """Reads a file from start to end: the current place, and what was found before it."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.place = data, 0
@@ -90,7 +90,7 @@ class _Reader:
             raise InputError("a .vtk file of POLYDATA or UNSTRUCTURED_GRID is needed")
 
     def mesh(self) -> RawMesh:
-        """Read the whole file."""
+        """Read the whole file and return its mesh."""
         while self.place < len(self.data):
             words = self._line().split()
             if words:
@@ -125,7 +125,7 @@ class _Reader:
         elif name in ("POLYGONS", "CELLS"):
             self.polygons += self._cells(self._count(words[1]), self._count(words[2]))
         elif name in ("VERTICES", "LINES", "TRIANGLE_STRIPS"):
-            # Their cells come with the cell data too, so they are kept in their place.
+            # Cell data has values for these cells too, so they keep their place.
             cells = self._cells(self._count(words[1]), self._count(words[2]))
             self.polygons += [cell[:1] for cell in cells]
         elif name == "CELL_TYPES":
@@ -165,7 +165,7 @@ class _Reader:
             self.cell_data[name] = values
 
     def _cells(self, count: int, size: int) -> list[IntArray]:
-        """The vertices of each cell."""
+        """Read the vertices of each cell."""
         if not self.new:
             table = self._numbers(size, "int").astype(np.int64)
             cells, place = [], 0
@@ -183,7 +183,7 @@ class _Reader:
         return [corners[a:b] for a, b in pairwise(offsets.tolist())]
 
     def _count(self, word: str) -> int:
-        """How many there are of something; a file cannot hold more than it has bytes."""
+        """Convert a count; an error if it is more than the file has bytes."""
         count = int(word)
         if not 0 <= count <= len(self.data):
             raise InputError(f"it says that it holds {word[:20]} of something, which it cannot")
@@ -197,7 +197,7 @@ class _Reader:
         return line.decode("ascii", errors="replace").strip()
 
     def _numbers(self, count: int, kind: str) -> NDArray[Any]:
-        """So many numbers from here on."""
+        """Read the next ``count`` numbers."""
         dtype = np.dtype(_TYPES[kind.lower()]).newbyteorder(">")
         if self.binary:
             stop = self.place + count * dtype.itemsize

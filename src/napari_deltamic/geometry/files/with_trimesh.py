@@ -1,4 +1,4 @@
-"""What several formats share: reading by trimesh."""
+"""Reading by trimesh, which several formats share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .raw import RawMesh
 
 
 def read_with_trimesh(data: bytes, kind: str) -> tuple[RawMesh, Any]:
-    """The mesh of a file, all its parts in one, and its first part as trimesh has it."""
+    """Return the mesh of a file, all its parts merged, and its first part as trimesh's object."""
     import trimesh  # slow to import, and not needed for every format
 
     loaded = trimesh.load(io.BytesIO(data), file_type=kind, process=False)

@@ -1,4 +1,4 @@
-"""Labels drawn in some slices of a stack only, with empty slices between them."""
+"""Labels drawn in only some slices of a stack: fills the empty slices between them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Labels = NDArray[np.int32]
 
 
 def filled_between(labels: Labels, size: FloatArray) -> tuple[Labels, int]:
-    """Labels with empty slices filled between those that have any, and how many were.
+    """Fill empty slices that lie between labelled ones; also return how many were filled.
 
-    A label is continued where it lies in the slices on both sides, by its distances to its outlines
-    there (S. P. Raya and J. K. Udupa, 1990).
+    A label that is present on both sides is interpolated by the distances to its outlines there
+    (S. P. Raya and J. K. Udupa, 1990).
 
     labels : (Z, Y, X). size : um of a voxel, Z, Y, X.
     """
@@ -35,7 +35,7 @@ def filled_between(labels: Labels, size: FloatArray) -> tuple[Labels, int]:
 
 
 def _between(one: Labels, other: Labels, count: int, size: FloatArray) -> Labels:
-    """(count, Y, X) slices between two."""
+    """Interpolate (count, Y, X) slices between two."""
     found = np.zeros((count, *one.shape), np.int32)
     deepest = np.zeros(found.shape)
     share = np.arange(1, count + 1)[:, None, None] / (count + 1)
@@ -52,7 +52,7 @@ def _between(one: Labels, other: Labels, count: int, size: FloatArray) -> Labels
 
 
 def _depth(mask: NDArray[np.bool_], size: FloatArray) -> FloatArray:
-    """um within an outline, negative without; what lies beyond the image is without."""
+    """Return distances to the outline, um: positive inside, negative outside; the image ends it."""
     wider = np.pad(mask, 1)
     inside, outside = (distance_transform_edt(m, sampling=size) for m in (wider, ~wider))
     return np.asarray(inside - outside)[1:-1, 1:-1]

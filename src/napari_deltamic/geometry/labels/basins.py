@@ -30,7 +30,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class _Tree:
-    """Component tree of the sub-level sets of an image: how the dark parts join."""
+    """Component tree of the sub-level sets of an image: how its dark parts join."""
 
     level: IntArray
     parent: IntArray
@@ -41,7 +41,7 @@ class _Tree:
 
 @dataclass(frozen=True)
 class _Basin:
-    """The part of a tree that a point names; `path` runs from its lowest voxel to the root."""
+    """The part of a tree that a point names; ``path`` runs from its lowest voxel to the root."""
 
     path: IntArray
     node: int  # position in path of the last component before the leak
@@ -52,9 +52,9 @@ def label_basins(
 ) -> tuple[NDArray[np.int32], list[Refused]]:
     """Label the basin of each voxel in `voxels` (n, 3) with its name; 0 elsewhere.
 
-    The work of `labels_from_points`. Points that name no region of their own are told.
+    Does the work of `labels_from_points`; also returns the points without a region of their own.
     """
-    sigma = float(size.min())  # of the smallest Gaussian that takes the noise of single voxels
+    sigma = float(size.min())  # of the smallest Gaussian that removes the noise of single voxels
     smooth = ndimage.gaussian_filter(data, sigma / size, mode="nearest")
     noise = noise_after(data, sigma / size)
     # Steps of a fraction of the noise lose nothing and make the tree faster.
@@ -75,9 +75,9 @@ def label_basins(
 
 
 def _blocks(ranked: Ranks, size: FloatArray) -> list[IntArray]:
-    """(3,) voxels of the blocks whose highest values are flooded first, and of those after them.
+    """Return block sizes (3,) in voxels, largest first: the highest value of each block is flooded.
 
-    Between such blocks nothing leaks that does not between voxels; small regions may be lost.
+    Nothing leaks between such blocks that would not leak between voxels; small regions may be lost.
     """
     fine = size < 2 * size.min()
     sides = [n for n in BASINS.sides if ranked.size >= BASINS.many * (n // 2) ** 3]
@@ -85,7 +85,7 @@ def _blocks(ranked: Ranks, size: FloatArray) -> list[IntArray]:
 
 
 def _highest(ranked: Ranks, block: IntArray) -> Ranks:
-    """The highest value of each block; those at the far borders are smaller."""
+    """Return the highest value of each block; blocks at the far borders may be smaller."""
     if (block == 1).all():
         return ranked
     room = [(0, -n % b) for n, b in zip(ranked.shape, block.tolist(), strict=True)]
@@ -93,14 +93,14 @@ def _highest(ranked: Ranks, block: IntArray) -> Ranks:
 
 
 def _each(blocks: NDArray[Any], block: IntArray, image: Ranks) -> NDArray[Any]:
-    """The value of its block for each voxel of an image."""
+    """Return for each voxel of an image the value of its block."""
     for axis, n in enumerate(block.tolist()):
         blocks = blocks if n == 1 else blocks.repeat(n, axis=axis)
     return blocks[tuple(slice(n) for n in image.shape)]
 
 
 def _large(tree: _Tree, basins: dict[int, _Basin], block: IntArray) -> bool:
-    """Whether no basin is so small that blocks may have changed it."""
+    """Whether all basins are so large that blocks cannot have changed them."""
     fewest = BASINS.blocks * np.prod(np.maximum(block // 2, 1))
     return all(tree.volume[b.path[b.node]] >= fewest for b in basins.values())
 
@@ -113,7 +113,7 @@ def _basins(
     size: FloatArray,
     least: float,
 ) -> tuple[dict[int, _Basin], list[Refused]]:
-    """The basin of each point, and the points that have none."""
+    """Return the basin of each point, and the points that have none."""
     found: dict[int, _Basin] = {}
     refused = []
     for voxel, name in zip(voxels, names, strict=True):
@@ -126,24 +126,24 @@ def _basins(
 
 
 def noise_after(data: FloatArray, sigma: FloatArray, known: Mask | None = None) -> float:
-    """Standard deviation of what is left of the image's noise by Gaussians of sigma voxels."""
+    """Standard deviation of the noise that smoothing with Gaussians (sigma in voxels) leaves."""
     return pixel_noise(data, known) * noise_gain(sigma)
 
 
 def noise_gain(sigma: FloatArray) -> float:
-    """What Gaussians of sigma voxels leave of the standard deviation of single voxels' noise."""
+    """Share of the standard deviation of white noise that Gaussians (sigma in voxels) leave."""
     pulse = np.zeros(2 * int(4 * sigma.max() + 1) + 1)
     pulse[len(pulse) // 2] = 1
     return float(np.prod([np.linalg.norm(ndimage.gaussian_filter1d(pulse, s)) for s in sigma]))
 
 
 def pixel_noise(data: FloatArray, known: Mask | None = None) -> float:
-    """Standard deviation of the noise of single voxels; 0 for an image too narrow to tell.
+    """Standard deviation of the noise in single voxels; 0 for an image too narrow to tell.
 
     known : where the image is not missing; None: everywhere.
 
-    From second differences along X: they hardly see membranes, and their median hardly any. The
-    median of a normal deviate's magnitude is 0.6745, and the weights 1, -2, 1 have squares of 6.
+    From second differences along X: membranes hardly change them, and their median even less. The
+    median magnitude of a normal deviate is 0.6745; the squares of the weights 1, -2, 1 sum to 6.
     """
     if data.shape[2] < 3:
         return 0.0
@@ -154,10 +154,10 @@ def pixel_noise(data: FloatArray, known: Mask | None = None) -> float:
 
 
 def border_area(shape: tuple[int, ...], size: FloatArray, known: Mask | None = None) -> FloatArray:
-    """Area (um^2) of each voxel's faces on the border of the image, or of what is known of it.
+    """Area (um^2) of each voxel's share of the border of the image, or of its known part.
 
-    The latter is mostly slanted. The faces of its voxels have up to 1.7 times its area, so it is
-    taken from the slope of a smoothed mask, twice, as half of that lies on the other side.
+    The border of a known part is mostly slanted, and the faces of its voxels have up to 1.7 times
+    its area. So it is twice the slope of a smoothed mask, as half of that lies on the other side.
     """
     area = np.zeros(shape)
     for axis in range(3):
@@ -172,13 +172,13 @@ def border_area(shape: tuple[int, ...], size: FloatArray, known: Mask | None = N
     return area
 
 
-# The trees of the image that was looked at last, of its blocks and of its voxels: they take nearly
-# all of the time, and every click of a user asks for them again.
+# The trees of the last image, of its blocks and of its voxels: they take nearly all of the time,
+# and every click of a user needs them again.
 _kept: list[tuple[bytes, _Tree]] = []
 
 
 def content_of(image: NDArray[Any], size: FloatArray) -> bytes:
-    """By which an image with voxels of some size is known again."""
+    """Return a hash of an image and its voxel size, by which results kept for it are found."""
     content = sha1(image.tobytes(), usedforsecurity=False)
     content.update(repr((image.shape, size.tolist())).encode())
     return content.digest()
@@ -221,7 +221,7 @@ def _new_tree(ranked: Ranks, size: FloatArray) -> _Tree:
 
 
 def _descend(ranked: Ranks, voxel: IntArray) -> int:
-    """Flat index of the local minimum that steepest descent from a voxel ends in."""
+    """Return the flat index of the local minimum where steepest descent from a voxel ends."""
     here = tuple(int(i) for i in voxel)
     while True:
         corner = [max(i - 1, 0) for i in here]
@@ -235,7 +235,7 @@ def _descend(ranked: Ranks, voxel: IntArray) -> int:
 def _find_basin(tree: _Tree, low: int, size: FloatArray, least: float) -> _Basin | str:
     """Follow the flood from a minimum and stop it before the leap that is the leak.
 
-    Returns what is wrong with the point where there is none.
+    Returns a text that says what is wrong with the point if there is no such leap.
     """
     path = [low]
     while tree.parent[path[-1]] != path[-1]:
@@ -248,7 +248,7 @@ def _find_basin(tree: _Tree, low: int, size: FloatArray, least: float) -> _Basin
     opened = (tree.border[nodes] > BASINS.border * ball)[:-1]
     node = int(leap.argmax()) if len(leap) else 0
     if len(leap) and opened[node]:
-        # The outside may itself be in parts that join later, with a larger leap than the leak's.
+        # The outside may itself be in parts that join later, with a larger leap than the leak.
         fair = ~opened & (leap > volume[:-1]) & (rise > BASINS.lower_leap * rise[node])
         fair[node:] = False
         leap = np.where(fair, leap, 0)
@@ -267,9 +267,9 @@ _SAME = -1  # instead of where a basin ends: no pass stands out
 
 
 def _separate(tree: _Tree, basins: dict[int, _Basin]) -> tuple[dict[int, _Basin], list[Refused]]:
-    """Where points share a basin, cut it at the pass between them, if that stands out.
+    """Cut basins that points share at the pass between them, if that stands out.
 
-    Else the first of the points has it.
+    Otherwise the first of the points gets the basin, and the others are refused.
     """
     above = {name: set(basin.path.tolist()) for name, basin in basins.items()}
     ends = {
@@ -296,7 +296,7 @@ def _separate(tree: _Tree, basins: dict[int, _Basin]) -> tuple[dict[int, _Basin]
 
 
 def _end_before(tree: _Tree, one: _Basin, other: _Basin) -> int:
-    """Position in the path of one at which it ends before the other; _SAME if it does not."""
+    """Return the position in the path of ``one`` where it ends before the other, or _SAME."""
     # First node on the way up that floods the other point too.
     meet = int(np.isin(one.path[: one.node + 1], other.path).argmax())
     height, leak = tree.level[one.path[[meet, one.node + 1]]]
@@ -323,9 +323,9 @@ def _grow(
     cores: dict[int, Mask],
     size: FloatArray,
 ) -> tuple[NDArray[np.int32], list[Refused]]:
-    """Flood from each core up to the crest, against whatever else is dark at its own level.
+    """Flood from each core up to the crest, in competition with all else that is dark at its level.
 
-    heights : of the blocks that cores and levels were found in.
+    heights : highest values of the blocks in which cores and levels were found.
     """
     labels = np.zeros(ranked.shape, np.int32)
     refused = []
@@ -348,14 +348,14 @@ def _grow(
 
 
 def _box_around(mask: Mask) -> tuple[slice, ...]:
-    """Bounding box with room for the membrane and for what lies beyond it."""
+    """Return the bounding box of a mask with room for the membrane and what lies beyond it."""
     box = ndimage.find_objects(mask.astype(np.int8))[0]
     room = [5 + (s.stop - s.start) // 4 for s in box]
     return widened(box, room, mask.shape)
 
 
 def _mark_cuts(markers: NDArray[np.int_], box: tuple[slice, ...], shape: tuple[int, ...]) -> None:
-    """Mark the sides where the box cuts the image as beyond the object, so that none leaks."""
+    """Mark the sides where the box cuts the image as outside of objects, so that none leaks."""
     for axis in range(3):
         sides = np.moveaxis(markers, axis, 0)
         for side, cut in ((0, box[axis].start > 0), (-1, box[axis].stop < shape[axis])):

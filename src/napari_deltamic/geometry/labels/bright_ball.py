@@ -21,30 +21,30 @@ from ..mesh import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class BallRules:
-    """When a ball is brighter than its surroundings.
+    """Thresholds that decide whether a ball is brighter than its surroundings.
 
     Attributes
     ----------
     smallest
-        The first radius, sides of a voxel. Chosen: a ball has 33 voxels at least.
+        The first radius, in sides of a voxel. Chosen: a ball has at least 33 voxels.
     errors
         Standard errors by which it must be brighter. Chosen: more than five, as noise is alike in
         voxels nearby. Measured: 24 and 203 in two simulated nuclei at which nothing else was found,
         one of which cannot be seen in single slices.
     half
-        Of the difference of ball and shell, by which all smaller balls must be brighter than the
-        shell, too, within ``sure`` errors: else the light is beside the point, as between two
+        Share of the difference of ball and shell by which all smaller balls must be brighter than
+        the shell, too, within ``sure`` errors: else the light is beside the point, as between two
         nuclei. Chosen.
     span
-        By how much it must be brighter, of the span of all means over cubes of its volume in the
-        image, less the median of each slice: else it may be the halo of something else. Measured at
+        By how much it must be brighter, as a share of the span of the means over cubes of its
+        volume in the image, less each slice's median: else it may be something's halo. Measured at
         96 random places of five real images where nothing else was found: 14 had a ball, with 0.02
         to 0.45; 0.80 and 0.83 in those two nuclei.
     sure
-        Standard errors taken off a difference before radii are compared. Chosen: of few voxels a
-        large one is chance.
+        Standard errors taken off a difference before radii are compared. Chosen: with few voxels a
+        large difference is chance.
     most
-        Voxels that are looked at, about: of larger surroundings, some of each axis. Chosen.
+        About how many voxels are used: larger surroundings are sampled along each axis. Chosen.
     """
 
     smallest: float = 2.0
@@ -65,7 +65,7 @@ _CUBE = (4 * np.pi / 3) ** (1 / 3)
 
 @dataclass(frozen=True, eq=False)
 class Ball:
-    """One around a point; the shell around it is as large.
+    """A ball around a point, compared with a shell around it of the same volume.
 
     Attributes
     ----------
@@ -84,12 +84,12 @@ class Ball:
 
     @property
     def surely(self) -> float:
-        """By how much it is brighter, chance aside."""
+        """How much brighter the ball is, less ``RULES.sure`` standard errors."""
         return self.brighter - RULES.sure * self.error
 
 
 def bright_ball(data: FloatArray, size: FloatArray, voxel: IntArray) -> Ball | None:
-    """The ball around a voxel that is brightest beside its shell; None if none is.
+    """Find the ball around a voxel that is brightest beside its shell; None if none surely is.
 
     Parameters
     ----------
@@ -103,13 +103,13 @@ def bright_ball(data: FloatArray, size: FloatArray, voxel: IntArray) -> Ball | N
     if not balls:
         return None
     best = max(balls, key=lambda ball: ball.surely)
-    # The largest one may be part of something larger: light that rises towards the point.
+    # The largest radius may be part of something larger: light that rises towards the point.
     sure = best.brighter > RULES.errors * best.error
     return best if sure and best.clear and best is not balls[-1] else None
 
 
 def stands_out(data: FloatArray, size: FloatArray, ball: Ball) -> bool:
-    """Whether a ball is bright for the image: else it may be the halo of something else."""
+    """Whether a ball is bright for its image: else it may be the halo of something else."""
     sides = np.maximum(np.rint(_CUBE * ball.radius / size).astype(int), 1)
     every = np.clip(sides // _IN_A_CUBE, 1, data.shape)
     whole = tuple(
@@ -124,13 +124,13 @@ def stands_out(data: FloatArray, size: FloatArray, ball: Ball) -> bool:
 def ball_at(
     shape: tuple[int, ...], size: FloatArray, voxel: IntArray, radius: float
 ) -> tuple[tuple[slice, ...], NDArray[np.bool_]]:
-    """The box around a ball, and in it the voxels of the ball."""
+    """Return the box around a ball, and a mask of the ball in that box."""
     box, far = squares(shape, size, voxel, radius)
     return box, far <= radius**2
 
 
 def _balls(data: FloatArray, size: FloatArray, voxel: IntArray, largest: float) -> list[Ball]:
-    """Those of all radii below the largest, from sums over shells, each a step thick."""
+    """Measure balls of all radii below ``largest``, by sums over shells one radius step thick."""
     first = RULES.smallest * geometric_mean(size)
     if largest <= first:
         return []
@@ -158,7 +158,7 @@ def _balls(data: FloatArray, size: FloatArray, voxel: IntArray, largest: float) 
 
 
 def mean_of(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Means of values whose number, sum and sum of squares are given; and their standard errors."""
+    """Return means and their standard errors, from numbers, sums and sums of squares of values."""
     n, total, squared = np.maximum(sums[0], 1e-30), sums[1], sums[2]
     mean = total / n
     return mean, np.sqrt(np.maximum(squared / n - mean**2, 0.0) / n)
@@ -171,9 +171,9 @@ def squares(
     radius: float,
     most: int | None = None,
 ) -> tuple[tuple[slice, ...], FloatArray]:
-    """The box around a ball, and in it the squared distances to its middle, um^2.
+    """Return the box around a ball, and in it the squared distances to its middle, um^2.
 
-    most : voxels, about; of a larger box, some of each axis.
+    most : about how many voxels to use; a larger box is sampled along each axis.
     """
     reach = np.ceil(radius / size).astype(int)
     low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach + 1, shape)

@@ -4,9 +4,9 @@ What is brighter than a threshold is cut where it is narrow, and each part ends 
 brightness. Where that leaves clumps, as among crowded cells with hardly a gap, each blob is a cell
 (`crowded_cells`): so it is where evenly bright blobs explain the image better, and where dark walls
 part a clump (`dark_walls`). What is found may be a whole embryo, in whose light the cells lie
-(`cells_in_haze`). In an image of membranes the same
-finds whole cells, too, or pieces of walls: so what walls enclose comes first where most of the
-light lies there, and a net of walls around dark places holds no bright cells.
+(`cells_in_haze`). In an image of membranes the same steps find whole cells, too, or pieces of
+walls: so what walls enclose comes first if most of the light lies there, and a net of walls around
+dark places holds no bright cells.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from .region_merging import Labels
 
 @dataclass(frozen=True)
 class BrightRules:
-    """When cells are bright.
+    """Thresholds that decide whether cells are bright.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ RULES = BrightRules()
 
 @dataclass(frozen=True, eq=False)
 class CellsFound:
-    """The cells of an image.
+    """The cells found in an image.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class CellsFound:
     bright
         Whether they were found as bright things, not by their walls.
     others
-        Of those with walls: other sizes that they may have, the likeliest first.
+        For cells found by their walls: other sizes that they may have, the likeliest first.
     """
 
     labels: NDArray[np.int32]
@@ -114,18 +114,18 @@ class CellsFound:
 def cells_of(
     image: ArrayLike, voxel_size: Sequence[float], size: float | None = None
 ) -> CellsFound:
-    """The cells of an image, whether their membranes shine or their insides.
+    """Find the cells of an image, whether their membranes shine or their insides.
 
     Parameters
     ----------
     image : (Z, Y, X) array; NaN where missing.
     voxel_size : um, Z, Y, X.
-    size : um; the diameter of a usual cell. None: estimated.
+    size : um; the diameter of a typical cell. None: estimated.
 
     Raises
     ------
     InputError
-        As :func:`~.find_cells.find_cells`.
+        For the same reasons as in :func:`~.find_cells.find_cells`.
     """
     data, known, voxel = checked_image(image, voxel_size)
     size = None if size is None else positive_size(size)
@@ -151,13 +151,13 @@ def cells_of(
 def _instead(
     walled: NDArray[np.int32] | None, seen: Smoothed, size: float | None
 ) -> NDArray[np.int32] | None:
-    """Bright cells where they are likelier than those that walls enclose, if any do; else None."""
+    """Return bright cells if they are likelier than those that walls enclose, if any; else None."""
     share = 0.0 if walled is None else _light_at(seen, walled)
     solid = 0.0 if walled is None else mean_solidity(walled)
     surely = share >= RULES.surely and solid > RULES.whole
     if (surely and size is None) or _holes(seen.above(threshold_li)) > RULES.holes:
         return None
-    # Of an embryo that shines all over, a size may leave nothing but the gaps between its nuclei.
+    # In an embryo that shines all over, a size may leave nothing but the gaps between its nuclei.
     bright = None if surely else _by_threshold(seen, size, share, solid)
     large = bright if size is None else bright_things(seen, None, threshold_li)[0]
     within = cells_in_haze(seen, large, size)
@@ -168,9 +168,9 @@ def _instead(
 def _by_threshold(
     seen: Smoothed, size: float | None, share: float, solid: float
 ) -> NDArray[np.int32] | None:
-    """What is bright, where that is likelier a cell than what walls enclose.
+    """Return labels of bright things if they are likelier cells than what walls enclose; else None.
 
-    share, solid : of the light, what is at cells with walls; their mean solidity, 0 if none are.
+    share : of the light, at cells with walls. solid : mean solidity of those cells; 0 without any.
     """
     bright, hollow = bright_things(seen, size, threshold_li)
     if not solid and (bright is None or hollow):
@@ -191,12 +191,12 @@ def _by_threshold(
 def _without_clumps(
     found: NDArray[np.int32], seen: Smoothed, size: float | None
 ) -> NDArray[np.int32]:
-    """Those found, or smaller ones that explain the image better; without those that walls part."""
+    """Replace clumps: smaller cells that explain the image better, cells parted at dark walls."""
     blobs = np.where(seen.known, crowded_cells(seen.data, seen.voxel, size), 0)
     if not blobs.any():
         return found
     depth = ndimage.distance_transform_edt(blobs > 0, seen.voxel)
-    # Each up to half of its own brightness.
+    # Each cell ends at half of its own brightness.
     smaller = of_a_size(without_halves(ended(seen, blobs, depth)), seen.voxel, size)
     cells = found if smaller is None else _likelier(found, smaller, seen)
     walled = without_bright_walls(blobs, seen.smooth, ground_beside(seen, blobs))
@@ -207,7 +207,7 @@ def _without_clumps(
 def _likelier(
     found: NDArray[np.int32], smaller: NDArray[np.int32], seen: Smoothed
 ) -> NDArray[np.int32]:
-    """The smaller ones where they explain the image better."""
+    """Return the smaller cells if they explain the image better, else those found."""
     left = unexplained(seen, smaller) / max(unexplained(seen, found), 1e-30)
     gained = mean_solidity(smaller) - mean_solidity(found)
     better = left < RULES.alike if gained > 0 else left < RULES.explained
@@ -215,14 +215,14 @@ def _likelier(
 
 
 def _holes(things: NDArray[np.bool_]) -> float:
-    """Volume of what it surrounds within a slice, over its own."""
+    """Volume of the holes that a mask surrounds within single slices, over its own volume."""
     things = ndimage.binary_opening(things)
     inside = sum(int((ndimage.binary_fill_holes(plane) & ~plane).sum()) for plane in things)
     return inside / max(int(things.sum()), 1)
 
 
 def _without_holes(labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Dark places that a cell encloses are its own."""
+    """Fill the holes of each cell with its label."""
     whole = labels.copy()
     for k, box in enumerate(ndimage.find_objects(labels), 1):
         if box is not None:
@@ -232,7 +232,7 @@ def _without_holes(labels: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _light_at(seen: Smoothed, labels: Labels) -> float:
-    """Share of the light that lies in cells or near them."""
+    """Return the share of the light that lies in cells or near them."""
     light = np.maximum(seen.smooth - threshold_li(seen.smooth[seen.known]), 0) * seen.known
     reach = RULES.reach * seen.voxel.min()
     near = ndimage.distance_transform_edt(labels == 0, seen.voxel) <= reach

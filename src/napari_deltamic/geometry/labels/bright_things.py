@@ -19,7 +19,7 @@ from .solidity import solidity
 
 @dataclass(frozen=True)
 class ThingRules:
-    """When a bright thing is a cell, and where it ends.
+    """Thresholds that decide whether a bright thing is a cell, and where it ends.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ THINGS = ThingRules()
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """An image, its gaps filled; smoothed; and where it is known: the rest counts for nothing."""
+    """An image without gaps, its smoothed copy, and where it is known: only that part counts."""
 
     data: Image
     smooth: Image
@@ -66,13 +66,13 @@ class Smoothed:
     voxel: FloatArray
 
     def above(self, threshold: Callable[[Image], float]) -> NDArray[np.bool_]:
-        """What is brighter than a threshold of what is known."""
+        """Return the mask of what is brighter than a threshold chosen on the known part."""
         found: NDArray[np.bool_] = (self.smooth > threshold(self.smooth[self.known])) & self.known
         return found
 
 
 def smoothed(data: Image, known: NDArray[np.bool_], voxel: FloatArray) -> Smoothed:
-    """An image without gaps, and where it is known."""
+    """Smooth an image without gaps by a Gaussian of ``THINGS.smoothing`` smallest voxel sides."""
     smooth = ndimage.gaussian_filter(data, THINGS.smoothing * voxel.min() / voxel, mode="nearest")
     return Smoothed(data, smooth, known, voxel)
 
@@ -80,9 +80,9 @@ def smoothed(data: Image, known: NDArray[np.bool_], voxel: FloatArray) -> Smooth
 def bright_things(
     seen: Smoothed, size: float | None, threshold: Callable[[Image], float]
 ) -> tuple[NDArray[np.int32] | None, bool]:
-    """(Z, Y, X) labels of what is brighter than a threshold; and whether most of it is hollow.
+    """Label (Z, Y, X) what is brighter than a threshold; also return whether most of it is hollow.
 
-    size : um; the diameter of a usual cell. None: that of the things. No labels where none is left.
+    size : um; the diameter of a typical cell. None: that of the things. None if no label is left.
     """
     voxel = seen.voxel
     things = ndimage.binary_fill_holes(ndimage.binary_opening(seen.above(threshold)))
@@ -98,9 +98,9 @@ def bright_things(
 
 
 def of_a_size(parts: Labels, voxel: FloatArray, size: float | None) -> NDArray[np.int32] | None:
-    """Labels (Z, Y, X) about as large as the typical one, from 1; None where there are none.
+    """Keep labels (Z, Y, X) about as large as the typical one, from 1; None if none is left.
 
-    size : um; the typical diameter. None: that of the labels.
+    size : um; the typical diameter. None: measured on the labels.
     """
     diameters = _diameters(parts, voxel)
     typical = size or typical_diameter(parts, voxel)
@@ -114,7 +114,7 @@ def of_a_size(parts: Labels, voxel: FloatArray, size: float | None) -> NDArray[n
 
 
 def unexplained(seen: Smoothed, labels: Labels) -> float:
-    """Variance that is left of an image by cells that are evenly bright, each in its own way."""
+    """Variance of an image that cells leave, if each is evenly bright, with its own brightness."""
     smooth, names = seen.smooth[seen.known], labels[seen.known]
     count = int(labels.max()) + 1
     means = np.bincount(names, smooth, count) / np.maximum(np.bincount(names, None, count), 1)
@@ -126,14 +126,14 @@ def unexplained(seen: Smoothed, labels: Labels) -> float:
 
 
 def mean_solidity(labels: Labels) -> float:
-    """Of labels (Z, Y, X): their volumes over those of their convex hulls, averaged by volume."""
+    """Volume over that of the convex hull of labels (Z, Y, X), averaged by volume."""
     boxes = enumerate(ndimage.find_objects(labels), 1)
     each = [0.0 if box is None else solidity(labels[box] == k) for k, box in boxes]
     return float(np.average(each, weights=np.bincount(labels.ravel())[1:]))
 
 
 def ended(seen: Smoothed, parts: Labels, depth: FloatArray) -> Labels:
-    """Each part up to half of its own brightness, without crumbs of that beside it.
+    """Cut each part off at half of its own brightness, and remove the crumbs that this leaves.
 
     parts : (Z, Y, X) labels. depth : (Z, Y, X) um, below the surface of what they are parts of.
     """
@@ -154,13 +154,13 @@ def ended(seen: Smoothed, parts: Labels, depth: FloatArray) -> Labels:
 
 
 def ground_beside(seen: Smoothed, parts: Labels) -> float:
-    """How bright it is beside the parts; the darkest voxel where nothing is."""
+    """Return how bright it is beside the parts; the darkest voxel if nothing is beside them."""
     around = seen.known & (parts == 0)
     return float(np.median(seen.smooth[around])) if around.any() else float(seen.smooth.min())
 
 
 def _hollow(smooth: Image, parts: Labels, depth: FloatArray) -> float:
-    """Of the volume of the parts: how much is in those whose rim is brighter than their core."""
+    """Share of the parts' volume in parts whose rim is brighter than their core."""
     told = hollow = 0
     for k, box in enumerate(ndimage.find_objects(parts), 1):
         own = parts[box] == k
@@ -175,7 +175,7 @@ def _hollow(smooth: Image, parts: Labels, depth: FloatArray) -> float:
 
 
 def _diameters(labels: Labels, voxel: FloatArray) -> FloatArray:
-    """um, of the balls as large as each label; 0 of the background."""
+    """Diameters (um) of the balls as large as each label; 0 for the background."""
     volumes = np.bincount(labels.ravel()) * float(np.prod(voxel))
     volumes[0] = 0
     found: FloatArray = 2 * ball_radius(volumes)
@@ -183,6 +183,6 @@ def _diameters(labels: Labels, voxel: FloatArray) -> FloatArray:
 
 
 def typical_diameter(labels: Labels, voxel: FloatArray) -> float:
-    """um: the mean diameter, of voxels rather than of labels, so that crumbs do not count."""
+    """Mean diameter (um) over voxels rather than over labels, so that crumbs hardly count."""
     each = _diameters(labels, voxel)
     return float((each**4).sum() / max((each**3).sum(), 1e-30))

@@ -1,4 +1,4 @@
-"""How large the cells of an image are: sizes from large to small are tried on a coarse copy."""
+"""Estimates the size of an image's cells by trying sizes from large to small on a coarse copy."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from .find_cells import Seen, regions_of_size
 
 @dataclass(frozen=True)
 class SizeFound:
-    """What is found with a size, on a coarse copy of an image.
+    """The cells that a size finds on a coarse copy of an image.
 
     Attributes
     ----------
     size
         um: diameter of the typical cell.
     cells
-        How many, about.
+        Approximate number of cells.
     score
-        How much is found that has this size indeed.
+        How much of what is found really has this size.
     """
 
     size: float
@@ -36,9 +36,9 @@ class SizeFound:
 
 
 def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
-    """The diameter (um) of the cells of an image, roughly: a start for `find_cells`.
+    """Estimate the diameter (um) of the cells of an image, as a start for `find_cells`.
 
-    The best of ``suggest_sizes``; where nothing is found, a quarter of the image.
+    It is the best of ``suggest_sizes``, or a quarter of the image if nothing is found.
 
     Raises
     ------
@@ -51,15 +51,15 @@ def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
 def likeliest(
     tried: Sequence[SizeFound], shape: Sequence[int], voxel_size: Sequence[float] | FloatArray
 ) -> float:
-    """um: the first of the sizes tried; where there is none, a quarter of the image."""
+    """Return the first of the sizes tried (um), or a quarter of the image if there are none."""
     return tried[0].size if tried else float(np.max(np.multiply(shape, voxel_size))) / 4
 
 
 def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFound]:
-    """Sizes that the cells of an image may have, the likeliest first.
+    """Return sizes that the cells of an image may have, the likeliest first.
 
-    Several are tried on a coarse copy. Those are taken with which most is found that has this size
-    indeed; of two that are alike, the better one.
+    Several are tried on a coarse copy. The best are those that find most cells of just that size;
+    of two similar ones, only the better is kept.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def suggest_sizes(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFou
 
 
 def _tries(image: ArrayLike, voxel_size: Sequence[float]) -> list[SizeFound]:
-    """All sizes with which cells are found, the best first."""
+    """Return all sizes with which cells are found, the best first."""
     data, known, voxel = checked_image(image, voxel_size)
     extent = np.array(data.shape) * voxel
     told = known.mean() * np.prod(extent)

@@ -22,7 +22,7 @@ from .solidity import solidity
 
 @dataclass(frozen=True)
 class HazeRules:
-    """When bright things are cells in a haze.
+    """Thresholds that decide whether bright things are cells in a haze.
 
     Attributes
     ----------
@@ -60,12 +60,12 @@ HAZE = HazeRules()
 def cells_in_haze(
     seen: Smoothed, large: NDArray[np.int32] | None, size: float | None
 ) -> NDArray[np.int32] | None:
-    """Labels of cells in the light of what holds them, from 1; None where there are none.
+    """Label, from 1, cells in the light of what holds them; None if there are none.
 
     Parameters
     ----------
     large : (Z, Y, X) labels of bright things that may hold them; None: the whole image may.
-    size : um; the diameter of a usual cell. None: that at which they answer most.
+    size : um; the diameter of a typical cell. None: that at which blobs respond most.
     """
     count = 1 if large is None else int(large.max())
     if count > HAZE.few:
@@ -88,7 +88,7 @@ def cells_in_haze(
 
 
 def _round_and_clear(things: NDArray[np.int32], clear: Smoothed) -> NDArray[np.int32]:
-    """Without what is dim next to the others, as noise is, or not solid, as the rim of a body."""
+    """Remove things that are dim beside the others (noise) or not solid (the rim of a body)."""
     names = np.arange(1, int(things.max()) + 1)
     boxes = ndimage.find_objects(things)
     solid = np.array([solidity(things[box] == k) for k, box in zip(names, boxes, strict=True)])
@@ -106,7 +106,7 @@ def _diameters(
     depth: NDArray[np.float32] | None,
     size: float | None,
 ) -> list[float]:
-    """um; those to which blobs answer more than to the next ones, away from borders."""
+    """Return diameters (um) at which blobs away from borders respond more than at the next ones."""
     whole = float((np.array(seen.data.shape) * seen.voxel).max())
     most = HAZE.smaller * (whole if large is None else typical_diameter(large, seen.voxel))
     if size is not None:
@@ -117,7 +117,7 @@ def _diameters(
 
 
 def _depth(inside: NDArray[np.bool_], seen: Smoothed) -> NDArray[np.float32]:
-    """um below the surface; what the border of the image cuts goes on there."""
+    """Return depths (um) below the surface; things cut by the image's border go on beyond it."""
     padded = np.pad(inside, 1, mode="edge")
     deep = ndimage.distance_transform_edt(padded, seen.voxel)[1:-1, 1:-1, 1:-1]
     depth: NDArray[np.float32] = deep.astype(np.float32)
@@ -125,7 +125,7 @@ def _depth(inside: NDArray[np.bool_], seen: Smoothed) -> NDArray[np.float32]:
 
 
 def _without_haze(seen: Smoothed, inside: NDArray[np.bool_], size: float) -> Smoothed:
-    """What is brighter than the haze, where cells may be."""
+    """Subtract the haze where cells may be."""
     box = np.maximum(2 * np.round(HAZE.wider * size / seen.voxel / 2) + 1, 3).astype(int)
     haze = ndimage.grey_opening(seen.smooth, size=tuple(box), mode="nearest")
     haze = ndimage.gaussian_filter(haze, size / 2 / seen.voxel, mode="nearest")

@@ -1,4 +1,4 @@
-"""What is refused before cells are sought, and the image that they are sought in."""
+"""Checks and prepares an image in which cells are sought."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _GAP = np.ones((3, 3, 3), bool)  # chosen: narrower ones are bridged
 
 
 def checked_image(image: ArrayLike, voxel_size: Sequence[float]) -> tuple[Image, Mask, FloatArray]:
-    """The image, its gaps filled, where it is known, and the voxel size.
+    """Return the image with gaps filled and scaled to 0..1, where it is known, and the voxel size.
 
     Gaps of a voxel or a slice count as known: a cell goes on beyond them.
     """
@@ -52,7 +52,7 @@ def checked_image(image: ArrayLike, voxel_size: Sequence[float]) -> tuple[Image,
 
 
 def positive_size(size: float) -> float:
-    """um. InputError where it is no positive number."""
+    """Return a size (um). InputError unless it is a positive number."""
     try:
         diameter = float(size)
     except (TypeError, ValueError):
@@ -63,7 +63,7 @@ def positive_size(size: float) -> float:
 
 
 def checked_size(size: float, shape: tuple[int, ...], voxel: FloatArray) -> float:
-    """um. InputError where it is no positive number, or does not fit the image or its voxels."""
+    """Return a size (um). InputError unless positive, and fit for the image and its voxels."""
     diameter = positive_size(size)
     longest = float((np.array(shape) * voxel).max())
     if diameter > longest:

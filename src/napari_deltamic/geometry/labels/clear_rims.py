@@ -1,10 +1,11 @@
-"""Which regions stand out from the noise: a dim cell does, a cell that noise has drawn does not.
+"""Which regions stand out from the noise: a dim cell does, one that noise has drawn does not.
 
 How far a wall is above the inside says little without the noise: in a dark image a wall of a few
 photons is plain, in a bright haze one of twenty is not. So the rim of a region is measured in
 standard deviations of the noise there. That needs noise that is independent from voxel to voxel,
-or its strength cannot be told from the image; whether it is so, the image does tell: of what no
-lens can pass, the finest checkered pattern, neighbouring values have a known correlation.
+or its strength cannot be told from the image. Whether it is independent, the image does tell: in
+the finest checkered pattern, which no lens can pass, neighbouring values then have a known
+correlation.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ _WHITE = -2 / 3  # by definition, the correlation of neighbours that it leaves o
 
 
 def noise_magnitudes(data: Image, known: NDArray[np.bool_]) -> Image | None:
-    """Of each voxel a positive number whose mean over a neighbourhood is the noise there.
+    """Return positive numbers, one a voxel, whose mean over a neighbourhood is the noise there.
 
-    None where the noise is not that of single voxels. known : where the image is not missing.
+    None if noise is not independent from voxel to voxel. known : where the image is not missing.
     """
     if min(data.shape) < 4:  # no neighbours are left within
         return None
@@ -54,7 +55,7 @@ def noise_magnitudes(data: Image, known: NDArray[np.bool_]) -> Image | None:
 def clear_rims(
     labels: Labels, count: int, smooth: Image, noise: Image, side: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Of each label: the share of its surface that is clear of noise, and the mean height of all.
+    """Return the share of each label's surface that is clear of noise, and its mean height.
 
     Heights are above the region's own inside, in standard deviations of the noise in it.
 
@@ -62,7 +63,7 @@ def clear_rims(
     ----------
     labels : (Z, Y, X) from 1, less than count; 0 where the image is missing.
     smooth : the smoothed image.
-    noise : what is left there of the noise, around each voxel.
+    noise : the noise that smoothing leaves around each voxel.
     side : um, of a voxel.
     """
     voxels, total = dark_half(labels, smooth, count)

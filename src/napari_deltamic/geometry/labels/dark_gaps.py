@@ -1,4 +1,4 @@
-"""Gaps between cells that labels lack: the image is darker there than in the cells beside it."""
+"""Finds gaps between cells that labels lack, where the image is darker than in both cells."""
 
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ _FAR = 2  # voxels from labels, from which on ground is not lit by them; chosen
 
 
 def with_dark_gaps(numbers: IntArray, closed: IntArray, image: NDArray[np.floating]) -> IntArray:
-    """Labels whose gaps were closed, with ground between two where the image shows it.
+    """Put ground back between labels whose gaps were closed, where the image shows it.
 
-    Lines that were closed are opened again; where two labels touch, the voxels beside that become
-    ground.
+    Closed lines are opened again; where two labels touch, the voxels on both sides become ground.
 
     Parameters
     ----------
@@ -47,9 +46,9 @@ def with_dark_gaps(numbers: IntArray, closed: IntArray, image: NDArray[np.floati
 def _between(
     closed: IntArray, gap: NDArray[np.bool_], in_gaps: bool
 ) -> tuple[list[list[int]], list[IntArray]]:
-    """Pairs of labels that meet, and the flat indices of voxels where they do.
+    """Return pairs of labels that meet, and the flat indices of the voxels where they do.
 
-    in_gaps : those of gaps that were closed; else those of labels that touch without one.
+    in_gaps : whether across gaps that were closed; else labels that touch without a gap.
     """
     index = np.arange(closed.size).reshape(closed.shape)
     met, at = [np.zeros((0, 2), closed.dtype)], [np.zeros(0, index.dtype)]
@@ -69,7 +68,7 @@ def _between(
 
 
 def _ground(labels: IntArray, image: NDArray[np.floating]) -> float:
-    """How bright the image is outside of cells; its darkest voxels where there is no outside."""
+    """Return how bright the image is outside of cells; its darkest voxels if all is inside."""
     away = ~ndimage.binary_dilation(labels > 0, iterations=_FAR)
     return float(np.median(image[away])) if away.any() else float(image.min())
 
@@ -81,7 +80,7 @@ def _is_dark(
     image: NDArray[np.floating],
     ground: float,
 ) -> bool:
-    """Whether a gap is darker than the cells on both sides are in the middle."""
+    """Whether a gap is darker than the middles of the cells on both sides."""
     place = np.array(np.unravel_index(at, numbers.shape))
     first = np.maximum(place.min(1) - _NEAR, 0)
     box = tuple(slice(low, high) for low, high in zip(first, place.max(1) + _NEAR + 1, strict=True))

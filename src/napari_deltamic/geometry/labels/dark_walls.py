@@ -1,4 +1,4 @@
-"""Clumps of bright cells that dark walls part: gaps too narrow, or too blurred, for a threshold.
+"""Parts clumps of bright cells at dark walls, gaps too narrow or too blurred for a threshold.
 
 Between two cells there is a wall that is darker than both, all along; within a cell, nucleoli and
 the gaps of chromatin are dark in places only. So parts of a crowd are joined where the wall between
@@ -23,7 +23,7 @@ from .voxels import box_around
 
 @dataclass(frozen=True)
 class WallRules:
-    """When a wall parts two cells, and parts are cells of a clump.
+    """Thresholds that decide whether a wall parts two cells, and parts are cells of a clump.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ WALLS = WallRules()
 
 
 def without_bright_walls(parts: Labels, smooth: Image, ground: float) -> NDArray[np.int32]:
-    """Parts (Z, Y, X) joined where the wall between them is not dark; the brightest wall first.
+    """Join parts (Z, Y, X) if the wall between them is not dark, the brightest wall first.
 
     ground : how bright it is beside the parts.
     """
@@ -81,7 +81,7 @@ def without_bright_walls(parts: Labels, smooth: Image, ground: float) -> NDArray
 
 
 def without_parted(found: Labels, parts: Labels, whole: float) -> NDArray[np.int32]:
-    """Things found (Z, Y, X), but the parts of each in which several lie for the most part.
+    """Replace things found (Z, Y, X) by their parts if several parts lie mostly in one.
 
     whole : mean solidity from which the parts of a thing count as cells.
     """
@@ -115,14 +115,14 @@ def without_parted(found: Labels, parts: Labels, whole: float) -> NDArray[np.int
 
 
 def _mean_solidity(several: list[int], parts: Labels, boxes: dict[int, tuple[slice, ...]]) -> float:
-    """Of some parts, averaged by volume."""
+    """Solidity of some parts, averaged by volume."""
     each = [parts[boxes[part]] == part for part in several]
     solid = [solidity(own) for own in each]
     return float(np.average(solid, weights=[own.sum() for own in each]))
 
 
 def _walls(labels: Labels, smooth: Image) -> tuple[IntArray, FloatArray]:
-    """(n, 2) labels that touch; and how bright the wall between them is, almost all along."""
+    """Return (n, 2) labels that touch, and how bright the wall is almost all along."""
     met, light = [np.zeros((0, 2), labels.dtype)], [np.zeros(0, smooth.dtype)]
     for axis in range(3):
         name, value = np.moveaxis(labels, axis, 0), np.moveaxis(smooth, axis, 0)
@@ -134,7 +134,7 @@ def _walls(labels: Labels, smooth: Image) -> tuple[IntArray, FloatArray]:
 
 
 def _quantiles(values: Image, groups: IntArray, count: int, share: float) -> FloatArray:
-    """Of the values in each group; 0 of one that is empty."""
+    """Return the quantile of the values in each group; 0 for an empty group."""
     order = np.lexsort((values, groups))
     many = np.bincount(groups, minlength=count)
     at = np.cumsum(many) - many + (share * np.maximum(many - 1, 0)).astype(int)

@@ -12,7 +12,7 @@ from ..mesh import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class NetRules:
-    """How a surface is drawn around labels.
+    """Numbers that decide how a surface is drawn around labels.
 
     Measured on twelve blobs and a ball of 9 voxels with edges of 3: half or twice of ``voxels`` or
     ``spacings`` moves the surface by less than 0.04 voxels; ``kept`` of 0.8 and 0.97, ``crossing``
@@ -22,7 +22,7 @@ class NetRules:
     Attributes
     ----------
     most_nodes
-        A typing error in an edge length should not fill the memory: these take about a GB.
+        A typing error in an edge length must not fill the memory: this many take about a GB.
     voxels, spacings
         Standard deviation of the Gaussian that smooths a distance field, in voxels and in spacings
         of the nodes, whichever is more: the surface would follow the steps of the voxels otherwise,
@@ -64,10 +64,10 @@ TRIANGLES = [0, 1, 2, 0, 2, 3]  # corners: the definition of the two triangles o
 
 
 def field_smoothing(size: FloatArray, spacing: float, thin: bool = False) -> FloatArray:
-    """(3,) um: how much the distance field of voxels is smoothed before nodes sample it.
+    """Return (3,) um: how much the distance field of voxels is smoothed before nodes sample it.
 
-    thin : along each axis only as much as its own voxels ask for, or slices far apart would take
-        arms that lie within them.
+    thin : smooth along each axis only as much as its own voxel side needs, or slices far apart
+        would remove arms that lie within them.
     """
     voxels = size if thin else np.full(3, size.max())
     smoothing: FloatArray = np.maximum(NETS.voxels * voxels, NETS.spacings * spacing)
@@ -75,14 +75,14 @@ def field_smoothing(size: FloatArray, spacing: float, thin: bool = False) -> Flo
 
 
 def check_nodes(shape: FloatArray, edge: float) -> None:
-    """InputError for a grid that would not fit into memory."""
+    """Raise InputError for a grid that would not fit into memory."""
     nodes = float(np.prod(shape))
     if nodes > NETS.most_nodes:
         raise InputError(f"edges of {edge:g} um are too short: they ask for {nodes:.0f} grid nodes")
 
 
 def dual_net(labels: IntArray, lead: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-    """The faces between nodes of different labels.
+    """Make the faces between nodes of different labels.
 
     A vertex for each cell of eight nodes that has several labels: the mean of the crossings on its
     edges. A quad for each edge whose ends differ, its normal towards the smaller label.
@@ -92,8 +92,8 @@ def dual_net(labels: IntArray, lead: FloatArray) -> tuple[FloatArray, IntArray, 
     labels
         (Z, Y, X) of the nodes.
     lead
-        (Z, Y, X) how far each node is on the side of its label; a crossing lies between two nodes
-        in proportion.
+        (Z, Y, X) how far each node is on the side of its label; it divides the edge between two
+        nodes in proportion to find the crossing.
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""How even the wall around a region is: that of a cell is all around it, that of a gap is not.
+"""How even the wall around a region is: a cell has it all around, a gap does not.
 
 Dark ground between cells has walls only where cells are, and these are brighter the nearer the
-cells; to other sides it is open, where a watershed has cut it. How much of its surface counts as
-wall says little then: what is seen is how high the wall is in each direction.
+cells; on other sides it is open, where a watershed has cut it. The share of its surface that counts
+as wall then says little, so the height of the wall in each direction is used.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _HIGH = 0.75  # of all directions, the quantile that counts as the height of a w
 def even_walls(
     labels: Labels, names: NDArray[np.int64], smooth: Image, side: FloatArray
 ) -> FloatArray:
-    """Mean over all directions of the height of a region's wall, from 0 to 1.
+    """Return the mean over all directions of the height of each region's wall, from 0 to 1.
 
-    In parts of what three quarters of the directions do not exceed. Borders of the image, and of
-    what is missing from it, are not counted; of a region with no others, it is 1.
+    Heights are relative to the one that three quarters of the directions do not exceed. Borders of
+    the image and of its missing parts do not count; it is 1 for a region with no other surface.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def even_walls(
 
 
 def _heights(labels: Labels, name: int, smooth: Image, side: FloatArray) -> FloatArray:
-    """Mean brightness of the surface of a region in each direction in which it has any."""
+    """Return the mean brightness of a region's surface in each direction in which it has any."""
     own, places, bright, areas = labels == name, [], [], []
     for axis in range(3):
         here, there = (np.arange(own.shape[axis] - 1) + k for k in (0, 1))
@@ -67,7 +67,7 @@ def _heights(labels: Labels, name: int, smooth: Image, side: FloatArray) -> Floa
 
 
 def _sphere(count: int) -> FloatArray:
-    """(count, 3) directions, evenly spread: along a spiral of the golden angle."""
+    """Return (count, 3) evenly spread directions, along a spiral of the golden angle."""
     place = np.arange(count)
     height, turn = 1 - (2 * place + 1) / count, np.pi * (1 + 5**0.5) * place
     around = np.sqrt(1 - height**2)

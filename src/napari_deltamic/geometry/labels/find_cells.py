@@ -1,10 +1,10 @@
-"""Cells found in an image of membranes, with no other help than how large a cell is.
+"""Finds cells in an image of membranes, given only how large a cell is.
 
 The image is smoothed by a small part of the size of a cell and its contrast is compressed, so that
-dim walls count next to bright ones. Every minimum of a somewhat smoother copy starts a region, and
-a watershed grows them up to the crests: there are then several regions in each cell and many in
-the outside. Regions that no wall divides are joined (`region_merging`). What is then enclosed by
-walls and about as large as a cell is one. The outside needs no marker, so none can flood a cell.
+dim walls count beside bright ones. Every minimum of a somewhat smoother copy starts a region, and a
+watershed grows them up to the crests: there are then several regions in each cell and many outside.
+Regions that no wall divides are joined (`region_merging`). A region that is then enclosed by walls
+and about as large as a cell is one. The outside needs no marker, so none can flood a cell.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def find_cells(
     ----------
     image : (Z, Y, X) array; NaN where missing.
     voxel_size : um, Z, Y, X.
-    size : um; the diameter of a usual cell. Cells of 0.4 to 2 times this are found.
+    size : um; the diameter of a typical cell. Cells of 0.4 to 2 times this are found.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def find_cells(
 
 @dataclass(frozen=True, eq=False)
 class WalledCells:
-    """What walls enclose.
+    """Cells that walls enclose.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class WalledCells:
 
 
 def walled_cells(image: ArrayLike, voxel_size: Sequence[float], size: float) -> WalledCells:
-    """What `find_cells` finds, and which of it is sure.
+    """Find the same cells as `find_cells`, and say which of them are sure.
 
     Raises
     ------
@@ -118,13 +118,13 @@ class RegionsFound:
     walled: FloatArray
 
     def of(self, chosen: list[int] | Mask) -> RegionsFound:
-        """Only these."""
+        """Return only the chosen regions."""
         return RegionsFound(*(getattr(self, part.name)[chosen] for part in fields(self)))
 
 
 @dataclass(frozen=True)
 class Seen:
-    """An image, its gaps filled, where it is known, its noise, and its voxel.
+    """An image without gaps, where it is known, its noise, and the sides of its voxels.
 
     The noise is that of ``noise_magnitudes``; None where it cannot be told.
     """
@@ -135,7 +135,7 @@ class Seen:
     voxel: FloatArray
 
     def coarsened(self, step: NDArray[np.int_]) -> Seen:
-        """Means of blocks of voxels."""
+        """Return the means of blocks of voxels."""
         blocks = np.float32(np.prod(step) ** 0.5)
         half = 0.5  # by definition
         return Seen(
@@ -147,7 +147,7 @@ class Seen:
 
 
 def regions_of_size(seen: Seen, size: float, finest: float) -> tuple[Labels, RegionsFound]:
-    """Labels of the cells, and what they are."""
+    """Find cells of a size; returns their labels and what was measured on them."""
     step = np.maximum(np.floor(finest * size / seen.voxel), 1).astype(int)
     step = np.minimum(step, seen.data.shape)
     coarse = seen.coarsened(step)
@@ -168,7 +168,7 @@ def regions_of_size(seen: Seen, size: float, finest: float) -> tuple[Labels, Reg
 
 
 def _wall_sigma(side: FloatArray, size: float) -> FloatArray:
-    """Standard deviation, in voxels, of the Gaussian that smooths walls."""
+    """Return the standard deviation, in voxels, of the Gaussian that smooths walls."""
     sigma: FloatArray = max(FINDING.smoothing * size, FINDING.sharpest * float(side.min())) / side
     return sigma
 
@@ -176,7 +176,7 @@ def _wall_sigma(side: FloatArray, size: float) -> FloatArray:
 def compressed_walls(
     data: Image, side: FloatArray, size: float, known: Mask | None = None
 ) -> Image:
-    """The smoothed image with its contrast compressed: dim walls count next to bright ones.
+    """Smooth an image and compress its contrast, so that dim walls count beside bright ones.
 
     Noise and contrast are those where the image is known (None: everywhere).
     """
@@ -195,7 +195,7 @@ def compressed_walls(
 
 
 def _cells(regions: Regions, seen: Seen, size: float) -> RegionsFound:
-    """The regions that are cells: enclosed, of about the size, not mostly on the border."""
+    """Select the regions that are cells: enclosed, of about the size, not mostly on the border."""
     n, side = len(regions.volume), seen.voxel
     flat = regions.labels.ravel()
     border = np.bincount(flat, border_area(regions.labels.shape, side, seen.known).ravel(), n)
@@ -226,16 +226,16 @@ def _cells(regions: Regions, seen: Seen, size: float) -> RegionsFound:
 
 
 def _least(at_border: FloatArray, within: float, most: float) -> FloatArray:
-    """What share of a surface must be enclosed, from how much lies on the border."""
+    """Return the share of a surface that must be enclosed, from how much lies on the border."""
     return np.maximum(within, np.minimum(within + at_border, most))
 
 
 def _trimmed(
     labels: Labels, names: NDArray[np.int64], side: FloatArray, size: float
 ) -> tuple[Labels, list[int]]:
-    """Only the cells, from 1, each in one part without holes and without what has leaked out.
+    """Keep only the cells, from 1, each in one part without holes and without what has leaked out.
 
-    And which of the names they are, since of some nothing is left.
+    Also return which of the names they are, since nothing is left of some.
     """
     result = np.zeros_like(labels)
     radius = FINDING.leak * size
@@ -256,9 +256,9 @@ def _trimmed(
 
 
 def without_gaps(labels: Labels, found: RegionsFound) -> WalledCells:
-    """Only the cells, from 1: gaps between them are less enclosed, and concave.
+    """Keep only the cells, from 1: gaps between them are less enclosed, and concave.
 
-    They are as dark inside as cells are, and what encloses them are the walls of cells.
+    Gaps are as dark inside as cells are, and are enclosed by the walls of cells.
     """
     if not len(found.names):
         return WalledCells(labels, found.surely)
@@ -272,19 +272,19 @@ def without_gaps(labels: Labels, found: RegionsFound) -> WalledCells:
 
 
 def solidities(labels: Labels, count: int) -> FloatArray:
-    """(count,) of labels from 1; 0 of one that is nowhere, as where others cover it."""
+    """Return (count,) solidities of labels from 1; 0 for a label without voxels."""
     boxes = enumerate(ndimage.find_objects(labels, count), 1)
     return np.array([0.0 if box is None else solidity(labels[box] == k) for k, box in boxes])
 
 
 def renumbered(labels: Labels, kept: Mask) -> Labels:
-    """Of labels from 1 only some, from 1 again."""
+    """Keep some of the labels from 1 and number them from 1 again; the others become 0."""
     numbers = np.append(0, np.where(kept, np.cumsum(kept), 0)).astype(labels.dtype)
     return numbers[labels]
 
 
 def upper_quartile(values: FloatArray, volume: FloatArray) -> float:
-    """By volume: gaps may be many, but they are small."""
+    """Upper quartile of values weighted by volume: gaps may be many, but they are small."""
     order = np.argsort(values)
     below = np.cumsum(volume[order])
     place = 0.75 * below[-1]  # by definition
@@ -292,7 +292,7 @@ def upper_quartile(values: FloatArray, volume: FloatArray) -> float:
 
 
 def _refined(labels: Labels, step: NDArray[np.int_], seen: Seen, size: float) -> Labels:
-    """Labels on the voxels of the image, their borders moved onto the crests."""
+    """Refine coarse labels to the voxels of the image, with borders moved onto the crests."""
     if (step == 1).all():
         return labels
     for axis, times in enumerate(step):
@@ -313,7 +313,7 @@ def _refined(labels: Labels, step: NDArray[np.int_], seen: Seen, size: float) ->
 
 
 def coarsened_image(data: Image, step: NDArray[np.int_]) -> Image:
-    """Means of blocks of voxels; the last block of an axis takes in what is left over."""
+    """Return means of blocks of voxels; an axis's last block includes the voxels left over."""
     for axis, times in enumerate(step):
         if times > 1:
             starts = np.arange(0, max(data.shape[axis] // times, 1) * times, times)

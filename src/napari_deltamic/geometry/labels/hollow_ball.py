@@ -20,7 +20,7 @@ from .bright_ball import mean_of, squares
 
 @dataclass(frozen=True)
 class HollowRules:
-    """When there is one.
+    """Thresholds that decide whether there is a hollow ball.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ _FEWEST = 3, 6  # voxels inside, and of a shell; chosen
 
 @dataclass(frozen=True, eq=False)
 class HollowBall:
-    """One around a voxel.
+    """A hollow ball around a voxel.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class HollowBall:
 
 
 def hollow_ball(data: FloatArray, size: FloatArray, voxel: IntArray) -> HollowBall | None:
-    """The hollow ball that a voxel lies in; None where none surely shows.
+    """Find the hollow ball that a voxel lies in; None if none surely shows.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def hollow_ball(data: FloatArray, size: FloatArray, voxel: IntArray) -> HollowBa
 
 
 def _blur(data: FloatArray, voxel: IntArray) -> float:
-    """How many times as large the errors of means are as where each voxel has noise of its own.
+    """Return by which factor the errors of means exceed those of noise independent in each voxel.
 
     About, from second differences along X of neighbours and of voxels three apart, as the median of
     their magnitudes hardly sees membranes. Exact within a few percent, by calculation, for noise
@@ -143,7 +143,7 @@ def _blur(data: FloatArray, voxel: IntArray) -> float:
 def _moved(
     data: FloatArray, size: FloatArray, voxel: IntArray, best: HollowBall, part: int, radii: range
 ) -> HollowBall:
-    """The best of those a part of a radius beside one, or itself."""
+    """Return the best hollow ball of those a part of a radius beside ``best``, or that itself."""
     near = range(max(best.step - _NEAR, radii.start), min(best.step + _NEAR + 1, radii.stop))
     step = np.maximum(np.rint(best.radius / part / size).astype(int), 1)
     start = best.middle
@@ -162,7 +162,7 @@ def _moved(
 
 
 def _best(data: FloatArray, size: FloatArray, middle: IntArray, radii: range) -> HollowBall | None:
-    """That whose shell stands out most around a voxel, of some radii."""
+    """Return the hollow ball around a voxel whose shell stands out most, of some radii."""
     balls = []
     for first in range(radii.start, radii.stop, _AT_ONCE):
         together = range(first, min(first + _AT_ONCE, radii.stop))
@@ -171,7 +171,7 @@ def _best(data: FloatArray, size: FloatArray, middle: IntArray, radii: range) ->
 
 
 def _balls(data: FloatArray, size: FloatArray, middle: IntArray, radii: range) -> list[HollowBall]:
-    """Those of some radii around a voxel, where enough of them lies in the image."""
+    """Return hollow balls of some radii around a voxel, if enough of them lies in the image."""
     side = geometric_mean(size)
     last = radii.stop + _GAP + _BEYOND
     upto, each = _sums(data, size, middle, side, last)
@@ -206,9 +206,9 @@ def _balls(data: FloatArray, size: FloatArray, middle: IntArray, radii: range) -
 def _sums(
     data: FloatArray, size: FloatArray, middle: IntArray, side: float, last: int
 ) -> tuple[FloatArray, int]:
-    """(3, steps, octants) number, sum and sum of squares of the voxels up to each radius.
+    """Return (3, steps, octants) number, sum and sum of squares of the voxels up to each radius.
 
-    Of one in so many voxels, which is the second that is returned.
+    Only one in several voxels counts; the second result says one in how many.
     """
     box, far = squares(data.shape, size, middle, side * 2 ** (last / _STEPS), RULES.most)
     values = data[box].astype(float).ravel()

@@ -1,8 +1,7 @@
-"""Corrections of found cells by clicks: one that was missed, two in one, one in two parts.
+"""Corrects found cells by clicks: a missed cell, two cells in one, one cell in two parts.
 
-A label image of an automatic segmentation is right for most cells and wrong for a few. A click
-says where, the image says how far: cells are divided and added by a watershed on the membranes, as
-`find_cells` finds them.
+An automatic segmentation is right for most cells and wrong for a few. A click says where, the image
+says how far: cells are divided and added by a watershed on the membranes, as in `find_cells`.
 """
 
 from __future__ import annotations
@@ -34,14 +33,14 @@ _Clicks = list[tuple[int, _Place]]  # number from 0, voxel
 
 @dataclass(frozen=True)
 class Click:
-    """A correction at a place.
+    """A correction at one place.
 
     place : um, Z, Y, X.
     action : "cell": a cell of its own lies here. In the background it is added; in a label it is
         cut off from the rest of it, or the label is divided among several clicks in it.
         "merge": the labels here and at the next "merge" click are one cell. "remove": the label
         here is no cell.
-    step : clicks of one step are looked at together, those of a later step see what it did.
+    step : clicks of one step are applied together; those of later steps act on the result.
     """
 
     place: tuple[float, float, float]
@@ -50,7 +49,7 @@ class Click:
 
 
 class Corrector:
-    """Corrects labels of one image, click by click; its membranes are looked at once.
+    """Corrects labels of one image, click by click; its membranes are computed only once.
 
     Parameters
     ----------
@@ -64,7 +63,7 @@ class Corrector:
         self._found: Image | None = None
 
     def corrected(self, labels: ArrayLike, clicks: Sequence[Click]) -> NDArray[np.int32]:
-        """Labels with the corrections that clicks ask for; see :func:`correct_labels`."""
+        """Return labels with the corrections of clicks; see :func:`correct_labels`."""
         result = np.array(labels, np.int32)
         if result.shape != self._data.shape:
             raise InputError(f"the labels have shape {result.shape}, the image {self._data.shape}")
@@ -89,7 +88,7 @@ class Corrector:
         if self._found is None:
             self._found = compressed_walls(self._data, self._voxel, self._size)
         fewest = max(CLICKS.fewest, CLICKS.crumb * self._voxels_of_cell())
-        # All of it is decided before anything is changed.
+        # Everything is checked before anything is changed.
         names = [int(labels[place]) for _, place in clicks]
         for name in sorted(set(names)):
             own = [click for click, n in zip(clicks, names, strict=True) if n == name]
@@ -110,7 +109,7 @@ class Corrector:
             )
 
     def _voxels_of_cell(self) -> float:
-        """Of a typical one."""
+        """Number of voxels in a ball with the diameter of a typical cell."""
         return float(np.pi / 6 * self._size**3 / np.prod(self._voxel))
 
 
@@ -120,9 +119,9 @@ def correct_labels(
     labels: ArrayLike,
     clicks: Sequence[Click],
 ) -> NDArray[np.int32]:
-    """Labels with the corrections that clicks ask for.
+    """Return labels with the corrections of clicks.
 
-    Steps follow each other; in each, labels are removed first, then merged, then cut, then added.
+    Steps follow each other; in each, labels are first removed, then merged, cut, and added.
 
     Parameters
     ----------
@@ -138,8 +137,8 @@ def correct_labels(
     Raises
     ------
     InputError
-        Labels and image differ in shape; a click lies outside the image or where its action means
-        nothing; an odd number of "merge".
+        Labels and image differ in shape; a click lies outside the image or where its action has no
+        meaning; the number of "merge" clicks is odd.
     """
     return Corrector(image, voxel_size).corrected(labels, clicks)
 
@@ -172,7 +171,7 @@ def _merge(labels: Labels, clicks: _Clicks, voxel: FloatArray, size: float) -> N
 def _cut(
     labels: Labels, walls: Image, name: int, clicks: _Clicks, voxel: FloatArray, fewest: float
 ) -> None:
-    """Divide a label among the clicks in it; a single one against the rest of the label."""
+    """Divide a label among the clicks in it, or between a single click and the rest of it."""
     box = ndimage.find_objects((labels == name).astype(np.int8))[0]
     corner = [s.start for s in box]
     inside = labels[box] == name
@@ -180,9 +179,9 @@ def _cut(
     centres = [tuple(np.subtract(place, corner)) for _, place in clicks]
     first = np.array(centres)
     if len(centres) == 1:
-        # The other cell's middle: what is hardest to get to, well inside the label.
+        # The other cell's middle: the place that is hardest to reach, well inside the label.
         deep = depths(inside, voxel)
-        # The least around, as a bright speck is hard to get to, too.
+        # The least cost around it, as a bright speck is hard to reach, too.
         around = tuple(int(n) for n in 1 + 2 * np.ceil(CLICKS.marker * float(deep.max()) / voxel))
         reached = ndimage.minimum_filter(_ways(cost, first, voxel), around)
         reached = np.where((deep > 0.5 * deep.max()) & np.isfinite(reached), reached, -1.0)
@@ -207,10 +206,10 @@ def _add(
     fewest: float,
     fewest_named: float,
 ) -> None:
-    """Flood the background from the clicks, against the cells around and what lies beyond reach.
+    """Flood the background from the clicks, bounded by cells around and by the largest reach.
 
-    Where no wall closes around a click, the cell is what a point there would name in the image: a
-    nucleus, for one.
+    If no wall closes around a click, the cell is what a point there would name in the image, such
+    as a nucleus.
     """
     places = np.array([place for _, place in clicks])
     reach, seen = CLICKS.reach
@@ -247,7 +246,7 @@ def _add(
 def _named(
     image: Image, free: NDArray[np.bool_], place: NDArray[np.int_], voxel: FloatArray
 ) -> NDArray[np.bool_]:
-    """What a point names in an image, where no label is, as far as it is in one piece."""
+    """Return the connected part, without other labels, of what a point names in an image."""
     found, _ = regions_at(np.asarray(image, np.float64), voxel, place[None], [1])
     parts, _ = ndimage.label((found == 1) & free)
     here: int = parts[tuple(place)]
@@ -260,7 +259,7 @@ def _unseen(click: int) -> InputError:
 
 
 def _edge(walls: Image, cell: NDArray[np.bool_]) -> float:
-    """By how much the rim of a cell is brighter, or darker, than its core."""
+    """Return by how much the rim of a cell is brighter, or darker, than its core."""
     core = ndimage.binary_erosion(cell)
     core = core if core.any() else cell
     rim = ndimage.binary_dilation(cell, iterations=2) & ~core
@@ -268,9 +267,9 @@ def _edge(walls: Image, cell: NDArray[np.bool_]) -> float:
 
 
 def _nearest(cost: FloatArray, centres: Sequence[_Place], voxel: FloatArray) -> NDArray[np.intp]:
-    """Which centre each voxel is nearest to, by ways that avoid walls.
+    """Return the index of the centre that each voxel is nearest to, by ways that avoid walls.
 
-    Where a wall has a gap, or is not seen at all, the border runs half-way.
+    Where a wall has a gap, or is not seen at all, the border runs half-way between the centres.
     """
     ways = [_ways(cost, np.array([centre]), voxel) for centre in centres]
     nearest: NDArray[np.intp] = np.argmin(ways, axis=0)
@@ -278,7 +277,7 @@ def _nearest(cost: FloatArray, centres: Sequence[_Place], voxel: FloatArray) -> 
 
 
 def _ways(cost: FloatArray, starts: NDArray[np.int_], voxel: FloatArray) -> FloatArray:
-    """Cost of the cheapest way from any of the starts; inf where there is none."""
+    """Return the cost of the cheapest way from any of the starts; inf if there is none."""
     ways: FloatArray = MCP_Geometric(cost, sampling=tuple(voxel)).find_costs(starts)[0]
     return ways
 
@@ -286,7 +285,7 @@ def _ways(cost: FloatArray, starts: NDArray[np.int_], voxel: FloatArray) -> Floa
 def _rounded(
     mask: NDArray[np.bool_], place: _Place, voxel: FloatArray, size: float
 ) -> NDArray[np.bool_]:
-    """The part around a place, without tongues, without holes."""
+    """Return the part of a mask around a place, without tongues and holes."""
     radius = CLICKS.thin * size
     core = depths(mask, voxel) > radius
     spot = np.ones(mask.shape, bool)
@@ -321,7 +320,7 @@ def _label_at(labels: Labels, click: int, place: _Place) -> int:
 
 
 def _typical(labels: Labels, voxel: FloatArray) -> float:
-    """um, the median diameter of the labels; a fifth of the image where there is none."""
+    """Return the median diameter (um) of the labels; a fifth of the image if there are none."""
     counts = np.unique(labels[labels > 0], return_counts=True)[1]
     if not len(counts):
         return float((np.array(labels.shape) * voxel).max()) / 5

@@ -1,8 +1,8 @@
-"""Label images of segmentation programs made fit for meshes, with a sentence for every repair.
+"""Makes label images of segmentation programs fit for meshes, with a sentence for every repair.
 
-Programs leave gaps between cells or let them overlap, cells in several parts, holes, numbers kept
-as floats. What can be put right without a guess is put right and said; what cannot is refused with
-what to do.
+Programs leave gaps between cells or let them overlap, leave cells in several parts or with holes,
+and store numbers as floats. What can be repaired without a guess is repaired and reported; other
+images are refused with advice.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from .voxels import depths
 
 _MANY = 1 << 16  # labels up to this number are found faster by number than by rank
 _ROUNDING = 1e-6  # um, of distances: a gap exactly as wide as asked for is closed
-_WHITE = 255  # of masks, by definition of 8 bits
+_WHITE = 255  # the value of masks, by definition of 8 bits
 _SPECK = 27  # voxels, chosen: a part of a mask with fewer is no cell
-_SIDE, _SIDES = 0.5, 5  # share of a side of the image, chosen, and of how many sides: background
+_SIDE, _SIDES = 0.5, 5  # background has this share of this many sides of the image; chosen
 _SMALL_PART = 0.1  # a part of a label larger than this share of it may be a cell of its own
 
 
@@ -39,7 +39,7 @@ class RepairedLabels:
     labels : (Z, Y, X) int32, each label in one part, without holes; 0 = outside.
     repairs : a sentence for each change.
     doubts : a sentence for each thing that may be wrong and was left as it is.
-    asked : the same of what is hardly meant.
+    asked : a sentence for each thing that a user hardly intended.
     """
 
     labels: NDArray[np.int32]
@@ -49,7 +49,7 @@ class RepairedLabels:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """All that a user should know."""
+        """All sentences that a user should see."""
         return self.repairs + self.doubts + self.asked
 
 
@@ -97,7 +97,7 @@ def repair_labels(
 
 
 def label_boxes(labels: NDArray[Any]) -> list[tuple[int, tuple[slice, ...]]]:
-    """Each label above 0 and the box that holds it, however large the numbers are."""
+    """Return each label above 0 and the box that holds it, however large the numbers are."""
     if labels.size == 0 or labels.max() <= 0:
         return []
     if labels.max() > _MANY:
@@ -137,7 +137,7 @@ def _whole_numbers(labels: ArrayLike | Sequence[ArrayLike]) -> NDArray[np.int32]
 def _together(
     layers: list[NDArray[np.int32]], size: FloatArray, repairs: list[str]
 ) -> NDArray[np.int32]:
-    """One image of all; a voxel that several cells claim goes to the one it lies deepest in."""
+    """Merge layers; a voxel that several cells claim goes to the one in which it lies deepest."""
     shape = layers[0].shape
     for layer in layers:
         if layer.shape != shape:
@@ -173,9 +173,9 @@ def _together(
 
 
 def _mask_as_cells(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.int32]:
-    """The parts of the only label, numbered, where several are large; else the labels as given.
+    """Number the parts of the only label if several are large; else return the labels as given.
 
-    What thresholds give, and programs that write masks; one cell is in one part.
+    Thresholds, and programs that write masks, give such labels; a single cell is in one part.
     """
     names = np.unique(numbers[numbers > 0])
     if len(names) != 1:
@@ -219,7 +219,7 @@ def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.i
             f"{torn} of {len(boxes)} labels are in many parts, none larger than half: is "
             "this an intensity image? If not, give each cell its own number"
         )
-    # Fragments of others leave holes, too.
+    # Removed fragments of other labels leave holes, too.
     for name, box in boxes:
         doing()
         mask = result[box] == name
@@ -240,7 +240,7 @@ def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.i
 
 
 def share_out_gaps(numbers: NDArray[Any], spacing: FloatArray, reach: float) -> NDArray[Any]:
-    """Ground in gaps of twice the reach (a closing by a ball finds them) to the nearest label."""
+    """Give ground in gaps up to twice the reach (found by a ball's closing) to nearest labels."""
     room = int(np.ceil(reach / spacing.min())) + 1
     ground = np.pad(numbers == 0, room, constant_values=True)
     distance, nearest = ndimage.distance_transform_edt(ground, spacing, return_indices=True)
@@ -269,8 +269,11 @@ def _doubts(numbers: NDArray[np.int32]) -> list[str]:
 
 
 def _asked(numbers: NDArray[np.int32]) -> tuple[str, ...]:
-    """A label that has most of nearly every side of the image is the background, as a rule, and an
-    only label of 255 is the mask of a program, in which cells that touch are one."""
+    """Report labels that are hardly intended.
+
+    A label on most of nearly every side of the image is usually the background, and a single label
+    of 255 is the mask of a program, in which touching cells are one.
+    """
     if set(np.unique(numbers)) <= {0, _WHITE}:
         return (
             f"the only label is {_WHITE}, as in a mask, and is taken for one cell: if there are "

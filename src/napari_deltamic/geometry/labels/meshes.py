@@ -1,4 +1,4 @@
-"""Meshes from label images: a closed surface for each label, with shared walls where they touch."""
+"""Makes meshes of label images: closed surfaces, with shared walls where labels touch."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ def mesh_from_labels(
     shared_walls: bool = True,
     image: ArrayLike | None = None,
 ) -> Mesh:
-    """A smooth mesh of all labels of an image, with regions (label, neighbour or 0).
+    """Make a smooth mesh of all labels of an image, with regions (label, neighbour or 0).
 
-    Of each label the largest connected part is kept and its holes are filled; each such repair is a
-    RepairWarning (see `repair_labels`), and so are labels that are left out because they are too
-    small for the edge length, or lack parts that are too thin for it. Labels that touch share their
-    walls: such a face exists once, between the two. Volumes are those of the labels.
+    The largest connected part of each label is kept and its holes are filled; each such repair
+    gives a RepairWarning (see `repair_labels`), as do labels that are left out as too small for the
+    edge length, or lack parts that are too thin for it. Labels that touch share their walls: such a
+    face exists once, between the two. Volumes are those of the labels.
 
     Parameters
     ----------
@@ -100,10 +100,10 @@ def mesh_from_labels(
 
 @dataclass(frozen=True)
 class LabelSurfaces:
-    """Of a label image: a mesh of each cluster of labels.
+    """The surfaces of a label image: one mesh for each cluster of labels.
 
-    too_small : labels that gave none. count : of all labels. edge : um. cut : labels that lack thin
-    parts, and which share of them is missing.
+    too_small : labels without a surface. count : number of all labels. edge : edge length, um.
+    cut : labels that lack thin parts, each with the share of its volume that is missing.
     """
 
     meshes: list[Mesh]
@@ -122,7 +122,7 @@ def surfaces_of_labels(
     shared_walls: bool = True,
     image: ArrayLike | None = None,
 ) -> LabelSurfaces:
-    """The work of `mesh_from_labels`, which says what the arguments are."""
+    """Do the work of `mesh_from_labels`, which describes the arguments."""
     size, start = (
         three_numbers(voxel_size, "voxel size"),
         three_numbers(origin, "origin", positive=False),
@@ -188,7 +188,7 @@ def _cut_short(shares: dict[int, float]) -> str:
 
 
 def _edge_in_voxels(labels: IntArray, size: FloatArray) -> float:
-    """Edges in the smallest side of a voxel: shorter where most labels are small."""
+    """Return the edge length in smallest voxel sides; shorter if most labels are small."""
     counts = np.bincount(np.unique(labels[labels > 0], return_inverse=True)[1])
     if not len(counts):
         return EDGE_IN_VOXELS
@@ -197,17 +197,17 @@ def _edge_in_voxels(labels: IntArray, size: FloatArray) -> float:
 
 
 def _area(labels: IntArray, size: FloatArray) -> float:
-    """um^2, about, of all surfaces."""
+    """Return the approximate area of all surfaces, um^2."""
     area = 0.0
     for axis in range(3):
         moved = np.moveaxis(labels, axis, 0)
         borders = np.count_nonzero(moved[1:] != moved[:-1])
         area += borders * float(np.prod(size) / size[axis])
-    return area / 1.5  # faces of voxels have so much more area than the smooth surface within them
+    return area / 1.5  # by so much more is the area of voxel faces than that of a smooth surface
 
 
 def edge_within(size: FloatArray, area: float, cells: int, voxels: float = EDGE_IN_VOXELS) -> float:
-    """um, the edge length for so much surface (um^2) of so many cells: fine, but not too fine."""
+    """Return the edge length (um) for an area (um^2) and a number of cells: fine, not too fine."""
     most = max(MOST_FACES, MOST_FACES_EACH * cells)
     fewest = np.sqrt(area / (np.sqrt(3) / 4 * most))
     return max(voxels * float(size.min()), float(fewest))
@@ -234,11 +234,11 @@ class _Place:
 
     @property
     def shortest(self) -> float:
-        """um, the edge length of the labels that have the shortest."""
+        """Shortest edge length (um) of any label."""
         return min(self.edge, self.own_edge)
 
     def edges(self, mesh: Mesh) -> FloatArray:
-        """um, the edge length at each vertex of a mesh of numbers."""
+        """Return the edge length (um) at each vertex of a mesh whose regions are numbers."""
         length = np.full(len(mesh.vertices), self.edge)
         length[mesh.faces[np.isin(mesh.regions, self.thin).any(axis=1)]] = self.shortest
         return length
@@ -247,10 +247,10 @@ class _Place:
 def _made(
     numbers: IntArray, cluster: IntArray, at: _Place, may_be_finer: bool
 ) -> tuple[Mesh | None, dict[int, float]]:
-    """Mesh of labels that touch, and what of them it lacks (see :func:`~.thin_parts.cut_off`).
+    """Mesh labels that touch; also return what it lacks (see :func:`~.thin_parts.cut_off`).
 
-    Where a label is lost, edges are shorter, if they may, and fields raised; where parts of labels
-    are cut off, edges of these labels become shorter.
+    If a label is lost, edges are shortened, if allowed, and fields raised; if parts of labels are
+    cut off, edges of these labels are shortened.
     """
     make = _single if len(cluster) == 1 else _cluster
     mesh = make(numbers, cluster, at)
@@ -285,7 +285,7 @@ def _cut(numbers: IntArray, mesh: Mesh, at: _Place) -> dict[int, float]:
 
 
 def _lost(numbers: IntArray, cluster: IntArray, at: _Place, mesh: Mesh | None) -> int:
-    """How many labels a mesh lacks, or nearly; crumbs, smaller than a cube of an edge, left out."""
+    """Count labels that a mesh (nearly) lacks, except crumbs smaller than a cube of one edge."""
     found = {} if mesh is None else mesh.volumes()
     lost = 0
     for number in cluster.tolist():
@@ -296,7 +296,7 @@ def _lost(numbers: IntArray, cluster: IntArray, at: _Place, mesh: Mesh | None) -
 
 
 def _single(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
-    """The closed surface of a label that touches no other; None if it is too small."""
+    """Mesh a label that touches no other; None if it is too small."""
     number = int(cluster[0])
     box, name = at.boxes[number - 1], int(at.names[number - 1])
     corner = at.origin + at.size * [s.start for s in box]
@@ -312,7 +312,7 @@ def _single(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
 
 
 def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
-    """One mesh of labels that touch, without those that are too small."""
+    """Mesh labels that touch, without those that are too small."""
     box = box_around(*(at.boxes[k - 1] for k in cluster))
     cut = np.where(np.isin(numbers[box], cluster), numbers[box], 0)
     cut = _whole(cut, cluster)
@@ -334,7 +334,7 @@ def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
 
 
 def _whole(numbers: IntArray, cluster: IntArray) -> IntArray:
-    """Of each label the largest part, with holes filled that are no other label."""
+    """Keep the largest part of each label, and fill its holes where no other label lies in them."""
     kept = np.zeros_like(numbers)
     for number, box in zip(cluster, _boxes(numbers, cluster), strict=True):
         doing()
@@ -361,7 +361,7 @@ def _without_gaps(
 
 
 def _touching(numbers: IntArray, count: int) -> list[IntArray]:
-    """Labels in groups that touch; each group a sorted array."""
+    """Group labels that touch; each group is a sorted array."""
     met, faces = label_contacts(numbers)
     group = connected(met[faces >= _LEAST_CONTACT] - 1, count)
     return [np.flatnonzero(group == g) + 1 for g in np.unique(group)]

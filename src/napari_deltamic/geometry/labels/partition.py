@@ -1,4 +1,4 @@
-"""One mesh of touching regions, which share their walls, from a label image (surface nets)."""
+"""Makes one mesh of touching labels, with shared walls (surface nets)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def partition_mesh(
     raised: bool = False,
     thin: bool = False,
 ) -> Mesh:
-    """Mesh of all labels (> 0) of an image; faces between two labels exist once.
+    """Mesh all labels (> 0) of an image; faces between two labels exist once.
 
     The distance field of every label is smoothed and sampled at the nodes of a grid of the wanted
     spacing; a node belongs to the label whose field is highest there. Faces lie between nodes of
@@ -81,10 +81,10 @@ def partition_mesh(
 
 
 def with_volumes(mesh: Mesh, volumes: dict[int, float]) -> Mesh:
-    """The mesh blown up or shrunk until regions have given volumes, um^3.
+    """Blow up or shrink a mesh until its regions have given volumes, um^3.
 
-    Each region gets a pressure; walls move by the difference of their two, along their normals.
-    What a coarse mesh cuts off at convex places comes back.
+    Each region gets a pressure; walls move along their normals by the difference of both. This
+    restores what a coarse mesh cuts off at convex places.
     """
     names = mesh.region_ids()
     sides = np.searchsorted(names, mesh.regions) + 1
@@ -138,7 +138,7 @@ class _Nodes:
         first[...] = np.where(wins, values, first)
 
     def lead(self, edge: float) -> FloatArray:
-        """How far each node is on the side of its label, um; with an end where none competes."""
+        """Return how far each node is on the side of its label, um; bounded where none competes."""
         return np.clip(self.first - self.next, _LEAST_LEAD, _ALONE * edge)
 
 
@@ -162,7 +162,7 @@ def _compete(labels: IntArray, size: FloatArray, edge: float, raised: bool, thin
         away = ndimage.gaussian_filter(away, sigma / size, mode="nearest")
         if raised and number:
             n = int(np.count_nonzero(mask))
-            # Twice, as the field of the outside is this one upside down, and stays.
+            # Twice, as the field of the outside is the negative of this one, and stays.
             away += 2 * max(0.0, -float(np.partition(away, -n, axis=None)[-n]))
         where, places = _nodes_within(nodes, start, np.array(away.shape), size, edge)
         return where, ndimage.map_coordinates(away, places, order=1, mode="nearest")
@@ -176,7 +176,7 @@ def _compete(labels: IntArray, size: FloatArray, edge: float, raised: bool, thin
 
 
 def _cut(numbers: IntArray, start: IntArray, stop: IntArray) -> IntArray:
-    """A box of numbers of labels; beyond the image there is none."""
+    """Return a box of label numbers, 0 beyond the image."""
     low, high = np.clip(start, 0, None), np.minimum(stop, numbers.shape)
     box = numbers[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
     return np.pad(box, np.stack([low - start, stop - high], axis=1))
@@ -185,7 +185,7 @@ def _cut(numbers: IntArray, start: IntArray, stop: IntArray) -> IntArray:
 def _nodes_within(
     nodes: _Nodes, start: IntArray, shape: IntArray, size: FloatArray, edge: float
 ) -> tuple[tuple[slice, ...], tuple[FloatArray, ...]]:
-    """The nodes within a box of voxels, and their places in it."""
+    """Return the nodes within a box of voxels, and their places in it."""
     low = np.ceil((start * size - nodes.corner) / edge).astype(int).clip(0)
     high = np.floor(((start + shape - 1) * size - nodes.corner) / edge).astype(int) + 1
     high = np.minimum(high, nodes.best.shape)
@@ -200,7 +200,7 @@ def _nodes_within(
 def _mended(
     labels: IntArray, size: FloatArray, edge: float, raised: bool, thin: bool
 ) -> tuple[float, _Nodes]:
-    """Nodes of which no more than three walls meet in an edge, and how far apart they are, um."""
+    """Return the spacing (um) and nodes for which at most three walls meet in an edge."""
     spacing = edge
     while True:
         nodes = _compete(labels, size, spacing, raised, thin)
@@ -212,9 +212,9 @@ def _mended(
 
 
 def _mend(nodes: _Nodes) -> int:
-    """Give up nodes until no more than three walls meet in an edge; how many.
+    """Relabel nodes until at most three walls meet in an edge; return how many.
 
-    In a square of nodes of which every two neighbours differ, four regions meet in an edge, or one
+    In a square of nodes of which all neighbours differ, four regions meet in an edge, or one
     touches itself there.
     """
     before = nodes.best.copy()
@@ -254,7 +254,7 @@ def _mend_squares(
 
 
 def _unpinched(vertices: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArray]:
-    """Surfaces that touch in a single vertex get one each."""
+    """Split vertices in which surfaces touch only there, so that each has its own."""
     corners = quads.ravel()
     number, n = np.arange(len(corners)), len(vertices)
     ends = [np.roll(quads, shift, axis=1).ravel() for shift in (-1, 1)]

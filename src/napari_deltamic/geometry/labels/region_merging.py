@@ -26,7 +26,7 @@ _NOTHING = 1e-6  # of an area: what sums and differences of areas leave by round
 
 @dataclass(frozen=True)
 class Regions:
-    """Regions of an image; arrays are indexed by label, and 0 where a label is not used.
+    """Regions of an image; arrays are indexed by label, and 0 for unused labels.
 
     labels : (Z, Y, X) int32 from 1; 0 where the image is missing.
     volume : um^3.
@@ -69,7 +69,7 @@ class _Graph:
         self.wall = [sum(c[2] for c in near.values()) for near in self.near]
 
     def cost(self, i: int, j: int, ball: float) -> float:
-        """How high the wall between two regions is; inf where they must not be joined."""
+        """Return the height of the wall between two regions; inf if they must not be joined."""
         area, height, seen, _ = self.near[i][j]
         around = self.area[i] + self.area[j] - 2 * area
         wall = self.wall[i] + self.wall[j] - seen - self.near[j][i][2]
@@ -90,7 +90,7 @@ class _Graph:
         return mean - self.total[i] / self.count[i]
 
     def join(self, i: int, j: int) -> None:
-        """Make j part of i."""
+        """Make region j a part of region i."""
         for column in (self.count, self.total, self.volume, self.area, self.wall):
             column[i] += column[j]
         self.area[i] -= 2 * self.near[i][j][0]
@@ -105,14 +105,14 @@ class _Graph:
 
 
 def join_regions(labels: Labels, image: Image, size: FloatArray, ball: float) -> Regions:
-    """Join the neighbours that no wall divides, the lowest wall first.
+    """Join neighbours that no wall divides, the lowest wall first.
 
     Parameters
     ----------
     labels : (Z, Y, X) int32 from 1, every voxel in a region; 0 where the image is missing.
     image : (Z, Y, X), bright walls.
     size : um, of a voxel.
-    ball : um^3, the volume of a usual cell.
+    ball : um^3, the volume of a typical cell.
     """
     graph = _Graph(labels, image, size)
     owner, version = list(range(graph.n)), [0] * graph.n
@@ -144,7 +144,7 @@ def join_regions(labels: Labels, image: Image, size: FloatArray, ball: float) ->
 
 
 def dark_half(labels: Labels, image: Image, count: int) -> tuple[FloatArray, FloatArray]:
-    """Of the darker half of each label's voxels, as walls are bright: how many, and their sum."""
+    """Return number and sum of the darker half of each label's voxels: bright ones may be walls."""
     middle = np.zeros(count)
     middle[1:] = ndimage.median(image, labels, np.arange(1, count))
     dark = np.where(image <= middle[labels], labels, 0).ravel()
@@ -155,9 +155,9 @@ def dark_half(labels: Labels, image: Image, count: int) -> tuple[FloatArray, Flo
 def faces_between(
     labels: Labels, image: Image, size: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-    """Faces between voxels of two regions: (2, n) labels in order, height, area (um^2).
+    """Return faces between voxels of two regions: (2, n) sorted labels, height, area (um^2).
 
-    Label 0 is no region.
+    Label 0 does not count as a region.
     """
     pairs, heights, areas = [], [], []
     for axis in range(3):

@@ -1,4 +1,4 @@
-"""Regions that points name: dark insides, or else the cells that *Find cells* sees there."""
+"""Finds regions that points name: dark insides, or else cells that *Find cells* finds there."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def regions_at(
 ) -> tuple[Labels, list[Refused]]:
     """Label the region of each voxel in ``voxels`` (n, 3) with its name; 0 elsewhere.
 
-    That of :func:`~.basins.label_basins`. Where nothing dark closes around a point, or it is the
-    ground between bright cells, such as nuclei, or the dim middle of one, it is the cell that is
-    found there without help; of several points in a bright one, each gets the part on its side of
-    a neck. Where neither is found, it is a ball that the point lies in, if its shell or all of
-    it is clearly brighter than what is around, and it reaches into no other region; points
-    without that are told.
+    It is the region of :func:`~.basins.label_basins`. If nothing dark closes around a point, or
+    only the ground between bright cells, such as nuclei, or the dim middle of one, it is the cell
+    that is found there without points; several points in a bright cell each get the part on their
+    side of a neck. If neither is found, it is a ball that the point lies in, if its shell or all of
+    it is clearly brighter than its surroundings and it reaches into no other region. Points
+    without any of these are returned as refused.
     """
     labels, left = closed_regions(data, size, voxels, names)
     at = dict(zip(names, voxels, strict=True))
@@ -63,7 +63,7 @@ def regions_at(
 def _balls(
     data: FloatArray, size: FloatArray, voxel: IntArray
 ) -> Iterator[tuple[tuple[slice, ...], NDArray[np.bool_]]]:
-    """Boxes, and in each the voxels of a ball that a voxel lies in: a hollow, then a bright one."""
+    """Yield balls around a voxel, a hollow then a bright one, as boxes with masks."""
     hollow = hollow_ball(data, size, voxel)
     if hollow is not None:
         yield ball_at(data.shape, size, hollow.middle, hollow.radius)
@@ -75,7 +75,7 @@ def _balls(
 def closed_regions(
     data: FloatArray, size: FloatArray, voxels: IntArray, names: list[int]
 ) -> tuple[Labels, dict[int, Refused]]:
-    """As :func:`regions_at`, without balls; and the points without a region, by their names."""
+    """Like :func:`regions_at`, without balls; also return the points without a region, by name."""
     labels, refused = label_basins(data, size, voxels, names)
     at = {name: tuple(voxel) for name, voxel in zip(names, voxels.tolist(), strict=True)}
     why = {one.points[-1]: one for one in refused}
@@ -111,10 +111,10 @@ def closed_regions(
 def _parted(
     whole: np.ndarray, at: dict[int, tuple[int, ...]], size: FloatArray, bright: bool
 ) -> tuple[Labels, dict[int, int]]:
-    """A cell that several points lie in; a bright one parted at its necks.
+    """Divide a cell among several points in it; only a bright one, at its necks.
 
-    By the watershed of the distance to the border (S. Beucher and C. Lantuejoul, 1979), as touching
-    nuclei usually are.
+    Uses the watershed of the distance to the border (S. Beucher and C. Lantuejoul, 1979), as is
+    usual for touching nuclei.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def _parted(
 
 
 def _without_neck(parts: Labels, deep: FloatArray) -> tuple[int, int] | None:
-    """Two parts between which there is none, the lower number first; None where all have necks."""
+    """Return two parts without a neck between them, the lower number first; None if all have."""
     deepest = ndimage.maximum(deep, parts, range(int(parts.max()) + 1))
     for name in np.unique(parts[parts > 0])[::-1].tolist():
         beside = ndimage.binary_dilation(parts == name) & (parts > 0) & (parts < name)
@@ -158,7 +158,7 @@ def _without_neck(parts: Labels, deep: FloatArray) -> tuple[int, int] | None:
 
 
 def _in_bright(smooth: FloatArray, labels: Labels, at: dict[int, tuple[int, ...]]) -> list[int]:
-    """Points that are brighter than nearly all of the dark region that they name."""
+    """Return points that are brighter than nearly all of the dark region that they name."""
     found = []
     for name, box in enumerate(ndimage.find_objects(labels), 1):
         if box is not None:
@@ -168,7 +168,7 @@ def _in_bright(smooth: FloatArray, labels: Labels, at: dict[int, tuple[int, ...]
 
 
 def _hardly_dark(smooth: FloatArray, labels: Labels) -> list[int]:
-    """Dark regions that are nearly as bright as their crests."""
+    """Return dark regions that are nearly as bright as their crests."""
     ground, found = np.percentile(smooth, _DARK), []
     for name, box in enumerate(ndimage.find_objects(labels), 1):
         if box is not None:
@@ -180,15 +180,15 @@ def _hardly_dark(smooth: FloatArray, labels: Labels) -> list[int]:
 
 
 def _crest(smooth: FloatArray, region: np.ndarray) -> float:
-    """How bright it is where a region ends, which it does not at the border of the image."""
+    """Return the brightness where a region ends, the border of the image not included."""
     ends = region & ~ndimage.binary_erosion(region, border_value=1)
     return float(np.median(smooth[ends])) if ends.any() else np.inf
 
 
 def _shines_around(smooth: FloatArray, region: np.ndarray, found: CellsFound) -> bool:
-    """Whether light as bright as the crest of a dark region fills the bright cell that it is in.
+    """Whether the bright cell around a dark region is about as bright as the region's crest.
 
-    Beyond a membrane it falls at once.
+    Beyond a membrane, brightness falls at once.
     """
     ground = np.percentile(smooth, _DARK)
     cell = np.bincount(found.labels[region]).argmax()
@@ -197,12 +197,12 @@ def _shines_around(smooth: FloatArray, region: np.ndarray, found: CellsFound) ->
     return bool(around.any() and (smooth[around] > least).mean() > _WIDE)
 
 
-# The cells of the image that was looked at last: every click of a user asks for them again.
+# The cells of the last image, since every click of a user needs them again.
 _kept: list[tuple[bytes, CellsFound | None]] = []
 
 
 def _cells(data: FloatArray, size: FloatArray) -> CellsFound | None:
-    """Those that are found without help; None where there are none."""
+    """Return the cells that are found without points; None if there are none."""
     key = content_of(data, size)
     for known, cells in tuple(_kept):  # threads may share it
         if known == key:

@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 
 
 def solidity(region: NDArray[np.bool_]) -> float:
-    """Volume over that of the convex hull, from the middles of the faces of voxels."""
+    """Return volume over that of the convex hull, from the middles of the faces of voxels."""
     sides = np.vstack([-np.eye(3), np.eye(3)]) / 2
     # Corners of the hull are the first or the last voxels of lines along any axis.
     along = np.moveaxis(region, int(np.argmax(region.shape)), 0)

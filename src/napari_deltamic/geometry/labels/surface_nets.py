@@ -17,7 +17,7 @@ Mask = NDArray[np.bool_]
 def closed_surface(
     mask: Mask, size: FloatArray, origin: FloatArray, edge: float, thin: bool = False
 ) -> tuple[FloatArray, IntArray] | None:
-    """Closed surface of the largest part of a mask, outward; None if the grid misses it.
+    """Make the closed, outward surface of a mask's largest part; None if the grid misses it.
 
     thin : see :func:`~.dual_net.field_smoothing`.
     """
@@ -59,7 +59,7 @@ def _without_fins(solid: Mask, radius: float, size: FloatArray) -> Mask:
 def _surface_net(
     field: FloatArray, size: FloatArray, spacing: float
 ) -> tuple[FloatArray, IntArray] | None:
-    """Zero surface of a field (positive inside) by a dual grid of the wanted spacing."""
+    """Draw the zero surface of a field (positive inside) by a dual grid of some spacing."""
     extent = (np.array(field.shape) - 1) * size
     axes = [np.arange(0, length + spacing, spacing) for length in extent]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"))

@@ -28,7 +28,7 @@ def cut_off(
     origin: FloatArray,
     edge: float,
 ) -> dict[int, float]:
-    """Of each label that lacks parts worth a finer mesh: their volume, um^3.
+    """Return, for each label that lacks parts worth a finer mesh, the volume of these, um^3.
 
     Such a part is connected, at least as large as a cube of an edge, and ends far from the mesh:
     where edges are longer than it is thick nothing is left of it, while smoothing moves the surface
@@ -36,8 +36,8 @@ def cut_off(
 
     Parameters
     ----------
-    numbers : (Z, Y, X) of the labels, from 1, and boxes : where each of them lies.
-    mesh : of some of them. names : their regions in it, the first that of number 1; rising.
+    numbers : (Z, Y, X) label numbers from 1. boxes : where each of them lies.
+    mesh : of some of them. names : the region of each number from 1 on in the mesh, increasing.
     size, origin : um, of voxels, and the centre of the first one.
     edge : um.
     """

@@ -23,7 +23,7 @@ def voxel_labels(
     voxel_size: Sequence[float],
     origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> NDArray[np.signedinteger]:
-    """(Z, Y, X) region number at the centre of each voxel; 0 outside.
+    """Return (Z, Y, X) the region number at the centre of each voxel; 0 outside.
 
     Along each line of voxels in X, a face that the line crosses says which region comes next: the
     region on the far side of the last face that was crossed.
@@ -65,9 +65,9 @@ def region_windings(
     voxel_size: Sequence[float],
     origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Iterator[tuple[int, tuple[slice, ...], NDArray[np.int32]]]:
-    """How often the surface of each region winds around the centres of voxels.
+    """Yield how often the surface of each region winds around the centres of voxels.
 
-    1 inside, 0 outside; 2 where the region overlaps itself.
+    That is 1 inside, 0 outside, and 2 where the region overlaps itself.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def region_windings(
 
     Yields
     ------
-    Of each region that reaches into the voxels: its number, the box of voxels that holds it, and
-    the numbers within that box.
+    For each region that reaches into the voxels: its number, the box of voxels that holds it, and
+    the winding numbers in that box.
     """
     size, start = np.asarray(voxel_size, float), np.asarray(origin, float)
     places = (mesh.vertices_numpy() - start) / size
@@ -110,7 +110,7 @@ def region_windings(
 def _crossings(
     corners: FloatArray, regions: NDArray[Any], nz: int, ny: int
 ) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int64]]:
-    """Line (z * ny + y), place along X in voxels, and the region beyond, of every crossing."""
+    """Return line (z * ny + y), place along X (voxels) and region beyond of every crossing."""
     flat = corners[:, :, :2] - _ASIDE
     low = np.ceil(flat.min(axis=1)).clip(0, None).astype(np.int64)
     high = np.minimum(np.floor(flat.max(axis=1)).astype(np.int64), [nz - 1, ny - 1])
@@ -133,14 +133,14 @@ def _crossings(
 
 
 def _twice(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
-    """Signed double area of flat triangles, (n, 2) each."""
+    """Return signed double areas of flat triangles, (n, 2) each corner."""
     left, right = q - p, r - p
     area: FloatArray = left[:, 0] * right[:, 1] - left[:, 1] * right[:, 0]
     return area
 
 
 def highest(values: NDArray[Any], parts: NDArray[Any], count: int) -> NDArray[Any]:
-    """(count,) the highest value in each part, from number 1 on; SciPy would sort all voxels.
+    """Return (count,) the highest value in each part, from number 1 on; SciPy sorts all voxels.
 
     Parameters
     ----------
@@ -154,13 +154,13 @@ def highest(values: NDArray[Any], parts: NDArray[Any], count: int) -> NDArray[An
 
 
 def largest_part(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The largest of the parts whose voxels share faces."""
+    """Return the largest of the parts whose voxels share faces."""
     parts, count = ndimage.label(mask)
     return mask if count < 2 else parts == 1 + np.bincount(parts.ravel())[1:].argmax()
 
 
 def depths(mask: NDArray[np.bool_], size: ArrayLike | None = None) -> FloatArray:
-    """(Z, Y, X) how deep each voxel lies in a mask, which ends where the array does.
+    """Return (Z, Y, X) how deep each voxel lies in a mask, which ends where the array does.
 
     size : um of a voxel, Z Y X; None: counted in voxels.
     """
@@ -169,13 +169,13 @@ def depths(mask: NDArray[np.bool_], size: ArrayLike | None = None) -> FloatArray
 
 
 def box_around(*boxes: tuple[slice, ...]) -> tuple[slice, ...]:
-    """The box of voxels that holds all of some boxes."""
+    """Return the box of voxels that holds all given boxes."""
     sides = zip(*boxes, strict=True)
     return tuple(slice(min(s.start for s in x), max(s.stop for s in x)) for x in sides)
 
 
 def widened(box: tuple[slice, ...], by: ArrayLike, shape: Sequence[int]) -> tuple[slice, ...]:
-    """The box with this many voxels more, rounded up, on each side, as far as the image goes.
+    """Widen a box by this many voxels, rounded up, on each side, as far as the image goes.
 
     by : one number, or one along each axis.
     """

@@ -1,6 +1,6 @@
-"""Labels that mark cells, such as their nuclei, and what the image shows around them.
+"""Replaces labels that only mark cells, such as their nuclei, by whole cells.
 
-A label that ends where the image shows nothing, well inside a region that it does show, marks that
+A label that ends where the image shows no edge, well inside a region that it does show, marks that
 region: the dark inside of a membrane, or something bright (:mod:`.regions_at_points`).
 """
 
@@ -29,7 +29,7 @@ Box = tuple[slice, ...]
 
 @dataclass(frozen=True)
 class MarkerRules:
-    """Which labels only mark their cells.
+    """Thresholds that decide which labels only mark their cells.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ _SHARED, _OF_MEDIAN = 2 * np.pi**0.5, (np.pi / 2) ** 0.5
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """An image: as it is, and smoothed; um of a voxel; and the noise of the smoothed one."""
+    """An image as it is and smoothed, the voxel size (um), and the noise of the smoothed one."""
 
     image: FloatArray
     smooth: FloatArray
@@ -100,7 +100,7 @@ class _Seen:
 
 @dataclass(frozen=True, eq=False)
 class _Label:
-    """Where a label is: its box, its deepest voxel, how deep that lies (um); and its voxels."""
+    """A label's box, deepest voxel, depth of that (um), and number of voxels."""
 
     box: Box
     voxel: NDArray[np.intp]
@@ -109,7 +109,7 @@ class _Label:
 
 
 def whole_cells(image: FloatArray, labels: Labels, size: FloatArray) -> tuple[Labels, list[int]]:
-    """Labels, those that only mark a cell as large as the region that the image shows; their names.
+    """Enlarge labels that only mark a cell to the region that the image shows; return their names.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _each(labels: Labels, size: FloatArray) -> Iterator[tuple[int, _Label]]:
 
 
 def _regions(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
-    """(Z, Y, X) what closes around the deepest voxel of each label."""
+    """Return (Z, Y, X) the region that closes around the deepest voxel of each label."""
     voxels = np.array([one.voxel for one in asked.values()])
     try:
         return closed_regions(seen.image, seen.size, voxels, list(asked))[0]
@@ -167,10 +167,10 @@ def _regions(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
 
 
 def _between(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
-    """(Z, Y, X) the ground of each label, up to the crests around it.
+    """Return (Z, Y, X) the surroundings of each label, up to the crests around it.
 
-    By the watershed from markers (F. Meyer and S. Beucher, 1990), of which one is what lies far
-    from all of them. It also parts cells whose wall is dim in one place.
+    By the watershed from markers (F. Meyer and S. Beucher, 1990), one of which is everything far
+    from all labels. It also separates cells whose wall is dim in one place.
     """
     away = ndimage.distance_transform_edt(~np.isin(labels, list(asked)), sampling=seen.size)
     doing()
@@ -181,7 +181,7 @@ def _between(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
 
 
 def _ends_on_nothing(seen: _Seen, labels: Labels, name: int, at: _Label) -> bool:
-    """Whether the image changes little where a label ends, and more further out."""
+    """Whether the image changes little where a label ends, and more farther out."""
     doing()
     light, values, inner = _layers(seen, labels, name, at)
     if inner == 0 or len(light) < inner + 2:
@@ -205,9 +205,9 @@ def _ends_on_nothing(seen: _Seen, labels: Labels, name: int, at: _Label) -> bool
 def _layers(
     seen: _Seen, labels: Labels, name: int, at: _Label
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Brightness of layers of and around a label, from its core on; by how many independent values.
+    """Return the brightness of layers in and around a label, from its core on.
 
-    And how many are of the label.
+    Also how many independent values each layer has, and how many layers belong to the label.
     """
     every = np.maximum(at.depth / RULES.layers / seen.size, 1).astype(int)  # few voxels tell enough
     size, reach = every * seen.size, RULES.reach * at.depth
@@ -230,7 +230,7 @@ def _layers(
 
 @dataclass(frozen=True, eq=False)
 class _Region:
-    """What was found around a label, in a box that holds both."""
+    """The region found around a label, in a box that holds both."""
 
     name: int
     found: Labels
@@ -245,12 +245,12 @@ class _Region:
         return int(np.count_nonzero(self.mask))
 
     def fill(self, labels: Labels) -> None:
-        """Give the label the ground that nobody has."""
+        """Give the label the region's voxels that no label has."""
         part = labels[self.box]
         part[self.mask & (part == 0)] = self.name
 
     def is_of(self, seen: _Seen, labels: Labels, known: dict[int, _Label]) -> bool:
-        """Whether the label lies well inside, of all labels alone, and a border ends the region."""
+        """Whether only this label lies well inside, and a clear border ends the region."""
         held = np.bincount(labels[self.box][self.mask], minlength=len(known) + 1)
         own = known[self.name].voxels
         if held[self.name] < RULES.held * own:
@@ -265,13 +265,13 @@ class _Region:
     def _apart(self, labels: Labels) -> bool:
         box = widened(self.box, 1, labels.shape)
         own, region = labels[box] == self.name, self.found[box] == self.name
-        # What the border of the image cuts goes on there.
+        # Things that the border of the image cuts go on beyond it.
         core, within = (ndimage.binary_erosion(m, border_value=1) for m in (own, own | region))
         rim = own & ~core
         return bool(np.count_nonzero(rim & within) >= RULES.apart * np.count_nonzero(rim))
 
     def _ends(self, seen: _Seen, labels: Labels) -> bool:
-        """Whether the image falls beyond its border, if it rises up to there."""
+        """Whether the image falls beyond the region's border, if it rises up to it."""
         box = widened(self.box, _BEYOND[1] + 1, labels.shape)
         region, light = self.found[box] == self.name, seen.smooth[box]
         rim = region & ~ndimage.binary_erosion(region, border_value=1)

@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class ChangeSizes:
-    """How changes of topology are made; lengths are in edges.
+    """Sizes that decide how changes of topology are made; lengths are in edges.
 
     Attributes
     ----------

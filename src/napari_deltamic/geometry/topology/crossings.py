@@ -10,10 +10,10 @@ from ..mesh import IntArray, Mesh
 
 
 def crossings(mesh: Mesh, near: float = 0.0) -> IntArray:
-    """(n, 2) rows of an edge (in ``mesh.edges()``) and of the face that it runs through.
+    """Return (n, 2) rows of an edge (in ``mesh.edges()``) and of a face that it runs through.
 
-    Those that are no more than ``near`` apart (um) count as well; edges and faces that share a
-    vertex do not. Empty where the compiled extension is missing.
+    Pairs no more than ``near`` um apart count as well; edges and faces that share a vertex do not.
+    Empty if the compiled extension is missing.
     """
     library = native()
     if library is None:
@@ -28,20 +28,20 @@ def crossings(mesh: Mesh, near: float = 0.0) -> IntArray:
 
 
 def crosses(mesh: Mesh) -> bool:
-    """Whether a surface crosses itself or another; False where the extension is missing."""
+    """Whether a surface crosses itself or another; False if the extension is missing."""
     return len(crossings(mesh)) > 0
 
 
 class CrossingWalls:
-    """Which walls of a mesh cross, and which regions are theirs.
+    """The walls of a mesh that cross, and their regions.
 
-    A wall is the faces of one connected piece between the same two regions.
+    A wall is all faces of one connected piece between the same two regions.
 
     Attributes
     ----------
     regions
-        For each pair of walls that cross the larger region number of each: one number where it is
-        the same.
+        For each pair of walls that cross, the larger region number of each wall; only one number if
+        both are the same.
     wall
         (F,) number of each face's wall.
     pairs

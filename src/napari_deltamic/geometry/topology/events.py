@@ -14,16 +14,16 @@ Shapes = tuple[Shape, Shape]  # before and after
 def change_events(
     before: Census, after: Census, place: ThinPlace, shapes: Shapes | None
 ) -> tuple[str, ...]:
-    """What a change of topology has done; nothing where neighbours and shapes are as before.
+    """Say what a change of topology has done; nothing if neighbours and shapes are as before.
 
     Parameters
     ----------
     before, after
-        Of the mesh.
+        Census of the mesh.
     place
-        That has changed.
+        Where it has changed.
     shapes
-        Of a cell with a neck or a hole at the place: its shape before and after.
+        Shapes before and after of a cell with a neck or a hole at the place.
     """
     lost, gained = before.contacts - after.contacts, after.contacts - before.contacts
     said = []
@@ -57,7 +57,7 @@ def change_events(
 
 
 def untangled_events(before: Census, after: Census, crossings: int) -> tuple[str, ...]:
-    """What has come of crossings."""
+    """Say what has become of crossing surfaces."""
     said = [
         f"cells {a} and {b} overlapped and now share a wall"
         for a, b in sorted(after.contacts - before.contacts)
@@ -67,7 +67,7 @@ def untangled_events(before: Census, after: Census, crossings: int) -> tuple[str
 
 
 def surface_shape(mesh: Mesh, region: int) -> Shape:
-    """Pieces of a region's surface, and its Euler characteristic."""
+    """Return the number of pieces of a region's surface, and its Euler characteristic."""
     surface = mesh.region_surface(region)
     euler = len(surface.vertices) - len(surface.edges()) + len(surface.faces)
     return int(pieces(surface).max()) + 1, euler

@@ -24,7 +24,7 @@ _Way = Callable[[Mesh, list[int], ThinPlace], FloatArray]
 
 
 def flipped(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
-    """What a part may be after an exchange of neighbours; triangles are not good yet.
+    """Yield what a part may become by an exchange of neighbours; triangles are not good yet.
 
     At a small wall (:func:`small_walls`) its two cells part, and the neighbour with the longest
     border to it grows in between. At a short junction (:func:`short_junctions`) the cells at its
@@ -33,9 +33,9 @@ def flipped(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
     Parameters
     ----------
     part
-        All around the place; surfaces do not cross.
+        The part around the place; its surfaces do not cross.
     place
-        Of two regions, or of three.
+        A small wall of two regions, or a short junction of three.
     edge
         um: the edge length of the mesh.
     """
@@ -53,7 +53,7 @@ def flipped(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
 
 
 def _without_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Change | None:
-    """Both sides of a wall, which is doubled, become walls with one of the cells around it."""
+    """Part the two cells of a small wall: a cell around it grows in between."""
     one, other = place.regions
     wall = _faces_at(mesh, place)
     rim = _rim(mesh, wall, place)
@@ -90,14 +90,14 @@ def _without_wall(mesh: Mesh, place: ThinPlace, apart: float) -> Change | None:
 
 
 def _faces_at(mesh: Mesh, place: ThinPlace) -> IntArray:
-    """The faces of a small wall."""
+    """Return the faces of a small wall."""
     rows = np.flatnonzero((np.sort(mesh.regions, 1) == sorted(place.regions)).all(1))
     apart = cKDTree(place.points).query(mesh.vertices_numpy()[mesh.faces[rows]])[0]
     return rows[(apart < _SAME_PLACE * max(place.width, 1.0)).all(1)]
 
 
 def _rim(mesh: Mesh, wall: IntArray, place: ThinPlace) -> dict[tuple[int, int], int] | None:
-    """The edges around a wall and the region beyond each; None if it branches.
+    """Return the edges around a wall and the region beyond each; None if the rim branches.
 
     Its parts may touch each other in a vertex.
     """
@@ -120,7 +120,7 @@ def _rim(mesh: Mesh, wall: IntArray, place: ThinPlace) -> dict[tuple[int, int], 
 def _meeting(
     mesh: Mesh, own: IntArray, regions: Sequence[int], kept: int
 ) -> list[tuple[int, int, int]]:
-    """Vertex of a wall, neighbour, face: where walls of others end at a face of region ``kept``."""
+    """Return (vertex, neighbour, face) where other walls end at a face of region ``kept``."""
     found = []
     for row in np.flatnonzero(np.isin(mesh.faces, own).any(1)):
         if np.isin(mesh.regions[row], regions).any():
@@ -134,7 +134,7 @@ def _meeting(
 
 
 def _normals_from(mesh: Mesh, wall: IntArray, own: IntArray, region: int) -> FloatArray:
-    """(len(own), 3) unit normals of a wall at its vertices, away from a region."""
+    """Return (len(own), 3) unit normals of a wall at its vertices, away from a region."""
     sign = np.where(mesh.regions[wall, 0] == region, 1.0, -1.0)
     weighted = (sign * mesh.areas()[wall])[:, None] * mesh.normals()[wall]
     total = np.zeros((len(own), 3))
@@ -147,7 +147,7 @@ def _normals_from(mesh: Mesh, wall: IntArray, own: IntArray, region: int) -> Flo
 
 
 def _with_wall(mesh: Mesh, place: ThinPlace, apart: float, *, way_of: _Way) -> Change | None:
-    """The junction of three cells becomes a tube, in which one of its ends reaches the other.
+    """Widen a short junction of three cells to a tube, through which the cells at its ends touch.
 
     way_of : gives the direction of the tube.
     """
@@ -199,7 +199,7 @@ def _with_wall(mesh: Mesh, place: ThinPlace, apart: float, *, way_of: _Way) -> C
 
 
 def _line(mesh: Mesh, place: ThinPlace) -> list[int] | None:
-    """The vertices of a short junction, from the first of the sides to the second."""
+    """Return the vertices of a short junction, from the first of the sides to the second."""
     vertices = mesh.vertices_numpy()
     own = np.flatnonzero(cKDTree(place.points).query(vertices)[0] < _SAME_PLACE)
     meet: dict[int, set[int]] = {int(v): set() for v in own}
@@ -230,13 +230,13 @@ def _line(mesh: Mesh, place: ThinPlace) -> list[int] | None:
 
 
 def _around(mesh: Mesh, u: int, w: int) -> set[int]:
-    """The regions that meet in an edge."""
+    """Return the regions that meet in an edge."""
     rows = (mesh.faces == u).any(1) & (mesh.faces == w).any(1)
     return set(mesh.regions[rows].reshape(-1).tolist())
 
 
 def _beyond(mesh: Mesh, vertex: int, three: frozenset[int]) -> int | None:
-    """The other end of the junction edge of three regions at a vertex."""
+    """Return the other end of the junction edge of three regions at a vertex."""
     rows = (mesh.faces == vertex).any(1)
     near = [v for v in np.unique(mesh.faces[rows]).tolist() if v != vertex]
     found = [v for v in near if _around(mesh, vertex, v) == three]
@@ -244,14 +244,14 @@ def _beyond(mesh: Mesh, vertex: int, three: frozenset[int]) -> int | None:
 
 
 def _along(mesh: Mesh, line: list[int], _: ThinPlace) -> FloatArray:
-    """Unit vector along a junction, from its first vertex to its last."""
+    """Return the unit vector along a junction, from its first vertex to its last."""
     first, last = mesh.vertices_numpy()[[line[0], line[-1]]]
     unit: FloatArray = (last - first) / max(float(np.linalg.norm(last - first)), 1e-300)
     return unit
 
 
 def _from_end_to_end(mesh: Mesh, line: list[int], place: ThinPlace) -> FloatArray:
-    """Unit vector along a junction, from the region at its one end to that at the other."""
+    """Return the unit vector from the region at one end of a junction to that at the other."""
     centers = []
     for end, region in zip((line[0], line[-1]), place.sides, strict=True):
         rows = (mesh.faces == end).any(1) & (mesh.regions == region).any(1)
@@ -262,7 +262,7 @@ def _from_end_to_end(mesh: Mesh, line: list[int], place: ThinPlace) -> FloatArra
 
 
 def _into(mesh: Mesh, vertex: int, along: FloatArray, wall: frozenset[int]) -> FloatArray:
-    """Unit vector from a vertex of a junction into one of its walls, across the junction."""
+    """Return the unit vector across a junction, from a vertex of it into one of its walls."""
     vertices = mesh.vertices_numpy()
     rows = (mesh.faces == vertex).any(1) & (np.sort(mesh.regions, 1) == sorted(wall)).all(1)
     way = vertices[mesh.faces[rows]].mean((0, 1)) - vertices[vertex]
@@ -275,7 +275,7 @@ def _into(mesh: Mesh, vertex: int, along: FloatArray, wall: frozenset[int]) -> F
 
 
 class _Draft:
-    """Faces of a mesh that is being changed; new ones are turned as their neighbours ask."""
+    """Faces of a mesh that is being changed; new ones are wound to match their neighbours."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._mesh = mesh
@@ -284,18 +284,18 @@ class _Draft:
         self._open: list[tuple[list[int], set[int]]] = []
 
     def add(self, corners: list[int], pair: tuple[int, int]) -> None:
-        """A face whose normal points from the first region to the second."""
+        """Add a face whose normal points from the first region to the second."""
         self.faces.append(corners)
         self.pairs.append(pair)
 
     def patch(self, corners: list[int], pair: set[int]) -> None:
-        """A face between two regions, the way round not yet known."""
+        """Add a face between two regions whose winding is not known yet."""
         self._open.append((corners, pair))
 
     def change(self, vertices: FloatArray) -> Change | None:
-        """The changed mesh, whose vertices begin with those of the given one.
+        """Make the changed mesh, whose vertices begin with those of the given one.
 
-        None where the patches do not fit. Vertices without faces are left out.
+        None if the patches do not fit. Vertices without faces are left out.
         """
         ends = {v for corners, _ in self._open for v in corners}
         # For each directed edge the regions that a face which has it bounds from their inside.
@@ -324,7 +324,7 @@ class _Draft:
 
 
 def _borders(corners: list[int], pair: tuple[int, int]) -> set[tuple[int, int, int]]:
-    """Directed edges of a face as seen from outside each of its two regions."""
+    """Return the directed edges of a face as seen from outside each of its two regions."""
     found = set()
     for k in range(3):
         u, w = corners[k], corners[(k + 1) % 3]

@@ -1,5 +1,4 @@
-"""A new mesh of the same regions brought back onto an old one: walls on walls, junctions on
-junctions."""
+"""Projects a new mesh of the same regions onto an old one: walls and junctions each on theirs."""
 
 from __future__ import annotations
 
@@ -13,17 +12,17 @@ from .region_sets import RegionSets, edge_sets, vertex_sets
 
 
 def projected(mesh: Mesh, onto: Mesh, weight: FloatArray, edge: float) -> Mesh:
-    """The mesh with vertices moved to the nearest point of another one.
+    """Move the vertices of a mesh to the nearest points of another one.
 
-    Vertices within walls go to walls between the same regions, those of junctions to junctions of
-    the same regions; those of regions that only one of the two has stay.
+    Vertices within walls go to walls between the same regions, and those of junctions to junctions
+    of the same regions; those of regions that only one of the meshes has stay.
 
     Parameters
     ----------
     mesh, onto
         Triangulations of the same regions.
     weight
-        (V,) share of the way that each vertex goes.
+        (V,) share of the way by which each vertex is moved.
     edge
         um: the edge length of the meshes.
     """
@@ -79,7 +78,7 @@ def _to_junctions(
 
 
 def _junction_points(onto: Mesh) -> tuple[FloatArray, np.ndarray]:
-    """Points along the junctions, and the key of the regions that meet in each."""
+    """Return points along the junctions, and the key of the regions that meet in each."""
     along, at = edge_sets(onto), vertex_sets(onto)
     rows = np.flatnonzero(along.size > 2)
     a, b = (onto.vertices_numpy()[onto.edges()[rows, k]] for k in (0, 1))

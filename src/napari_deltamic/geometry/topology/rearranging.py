@@ -1,7 +1,6 @@
-"""Changes of topology: thin places give way, small walls, junctions and pieces go.
+"""Changes topology: thin places give way, and small walls, junctions and pieces vanish.
 
-Only a part of the mesh around each place is looked at and changed; all else stays as it is, vertex
-by vertex.
+Only a part of the mesh around each place is examined and changed; all other vertices stay.
 """
 
 from __future__ import annotations
@@ -40,15 +39,15 @@ class Rearranged:
     Attributes
     ----------
     mesh
-        Of the same regions.
+        The mesh, of the same regions.
     events
-        What happened, a sentence each; none where nothing has changed.
+        A sentence for each thing that happened; none if nothing has changed.
     hopeless
         The places that cannot give way: a region would vanish, surfaces would cross, or nothing
         would change. Places that are in neither were not tried one by one.
     origin
-        (V,) for each vertex the old one that it equals, or -1 if it is new; so what vertices carry
-        can go along. None where nothing has changed.
+        (V,) the old vertex that each one equals, or -1 if it is new, by which values at vertices
+        can be carried over. None if nothing has changed.
     """
 
     mesh: Mesh
@@ -58,12 +57,12 @@ class Rearranged:
 
 
 def give_way(mesh: Mesh, places: Sequence[ThinPlace], edge: float) -> Rearranged:
-    """The mesh after thin places have given way: what lay on their two sides meets there.
+    """Let thin places of a mesh give way, so that what lies on their two sides meets there.
 
     A gap between two cells becomes a wall, a hole closes, a neck is pinched off, and where a cell
-    is thin between two others, these become neighbours. A small wall goes, the cells at the ends
-    of a short junction come to touch, and a small piece goes to a neighbour. Nothing changes but a
-    few edge lengths around the places.
+    is thin between two others, these become neighbours. A small wall vanishes, the cells at the
+    ends of a short junction come to touch, and a small piece goes to a neighbour. Nothing changes
+    beyond a few edge lengths around the places.
 
     Parameters
     ----------
@@ -92,7 +91,7 @@ def give_way(mesh: Mesh, places: Sequence[ThinPlace], edge: float) -> Rearranged
 
 @dataclass
 class _State:
-    """What has been done so far; meant: contacts that may come."""
+    """What has been done so far; meant : contacts that may appear."""
 
     change: Change
     census: Census
@@ -102,7 +101,7 @@ class _State:
 
 
 def _round(state: _State, waiting: list[ThinPlace], edge: float) -> list[ThinPlace]:
-    """Change places whose surroundings are not changed in this round; the others are left."""
+    """Change places whose surroundings are unchanged in this round; return the others."""
     mesh = state.change.mesh
     cutter, taken = Cutter(mesh), np.zeros(len(mesh.faces), bool)
     later: list[ThinPlace] = []
@@ -128,7 +127,7 @@ def _round(state: _State, waiting: list[ThinPlace], edge: float) -> list[ThinPla
 def _given_way(
     state: _State, cutter: Cutter, rows: IntArray, place: ThinPlace, edge: float
 ) -> tuple[Submesh, Change] | None:
-    """Some faces after a place has given way, if that changes what it should and nothing else."""
+    """Let a place in some faces give way, if that changes what it should and nothing else."""
     if not len(rows):
         return None
     part = cutter.part(rows)
@@ -150,14 +149,14 @@ def _given_way(
 
 
 def _ways(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
-    """What the part may become; triangles are not good yet."""
+    """Yield what the part may become; triangles are not good yet."""
     if place.is_thin:
         return thinned(part, place, edge)
     return (absorbed if place.volume else flipped)(part, place, edge)
 
 
 def _wanted(state: _State, place: ThinPlace, after: Census) -> bool:
-    """Whether a change leaves every region, and brings no contact but those that may come."""
+    """Whether a change keeps every region and adds no contacts but those that may appear."""
     if after.regions != state.census.regions:
         return False
     gained = between_cells(after.walls.keys() - state.census.walls.keys())
@@ -165,7 +164,7 @@ def _wanted(state: _State, place: ThinPlace, after: Census) -> bool:
 
 
 def _shapes(mesh: Mesh, small: tuple[Submesh, Change], place: ThinPlace) -> Shapes | None:
-    """Of a cell with a neck or a hole: its shape before and after."""
+    """Return the shape of a cell with a neck or a hole before and after; None for other places."""
     if not place.is_thin or len(place.sides) > 1:
         return None
     cell = place.regions[0] or place.sides[0]

@@ -1,4 +1,4 @@
-"""Regions that become two, or none: a cell divides, or leaves a mesh."""
+"""Divides a region of a mesh into two, or removes one: a cell divides, or leaves."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from ..remeshing import can_remesh, remesh
 
 _LEAST_AROUND = 12  # edges around a new wall
-# Edge lengths: vertices nearer to a plane lie in it, which avoids slivers. Those of junctions do
-# not, or the new wall could run along a junction, and four walls would meet there.
+# Edge lengths: vertices nearer to a plane count as in it, which avoids slivers. Junctions have a
+# smaller one, or the new wall could run along a junction, where four walls would meet.
 _ON_PLANE, _ON_PLANE_IN_JUNCTION = 0.25, 0.01
 
 
@@ -27,7 +27,7 @@ def divide_region(
 
     Parameters
     ----------
-    mesh : with the region's surface closed, um.
+    mesh : um; the region's surface must be closed.
     region : the one that divides.
     point, normal : of the plane, (3,) um Z, Y, X.
     daughters : numbers of the regions behind the plane and in front of it, where the normal
@@ -65,9 +65,9 @@ def divide_region(
 
 
 def remove_region(mesh: Mesh, region: int) -> Mesh | None:
-    """The mesh without a region: its walls with others become theirs with the outside.
+    """Remove a region; the other sides of its walls then face the outside.
 
-    None where nothing is left. Raises InputError if the mesh has no such region.
+    Returns None if nothing is left. Raises InputError if the mesh has no such region.
     """
     if region not in mesh.region_ids():
         raise InputError(f"the mesh has no region {region}")
@@ -82,7 +82,7 @@ def remove_region(mesh: Mesh, region: int) -> Mesh | None:
 def _split(
     mesh: Mesh, region: int, point: FloatArray, normal: FloatArray
 ) -> tuple[Mesh, NDArray[np.bool_]]:
-    """The mesh with the region's faces split at a plane; which faces lie in front of it."""
+    """Split the region's faces at a plane; also return which faces lie in front of it."""
     vertices, edges, face_edges = mesh.vertices_numpy(), mesh.edges(), mesh.face_edges()
     height = (vertices - point) @ normal
     own = (mesh.regions == region).any(axis=1)
@@ -105,8 +105,10 @@ def _split(
 
 
 def _subdivided(faces: IntArray, middle: IntArray) -> tuple[IntArray, IntArray]:
-    """Faces cut at the new vertices on their edges (opposite each corner; -1: none), and of which
-    face each is a part."""
+    """Cut faces at new vertices on their edges (one opposite each corner; -1: none).
+
+    Also return which face each part belongs to.
+    """
     count = (middle >= 0).sum(axis=1)
     rows = np.flatnonzero(count == 0)
     parts, parents = [faces[rows]], [rows]
@@ -126,7 +128,7 @@ def _subdivided(faces: IntArray, middle: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _loop(mesh: Mesh, region: int, front: NDArray[np.bool_]) -> list[int]:
-    """The vertices around the cut, in order."""
+    """Return the vertices around the cut, in order."""
     own = (mesh.regions == region).any(axis=1)
     sides = np.zeros((len(mesh.edges()), 2), int)
     np.add.at(sides, (mesh.face_edges()[own].ravel(), np.repeat(front[own], 3).astype(int)), 1)
@@ -153,7 +155,7 @@ def _loop(mesh: Mesh, region: int, front: NDArray[np.bool_]) -> list[int]:
 
 
 def _wall(vertices: FloatArray, loop: Sequence[int], normal: FloatArray) -> IntArray:
-    """Triangles of the polygon, with normals along that of the plane: ears are cut off in turns."""
+    """Triangulate the polygon by ear clipping, with normals along that of the plane."""
     axis = np.eye(3)[np.abs(normal).argmin()]
     across = np.cross(normal, axis)
     across /= np.linalg.norm(across)
@@ -176,7 +178,7 @@ def _wall(vertices: FloatArray, loop: Sequence[int], normal: FloatArray) -> IntA
 
 
 def _best_ear(flat: FloatArray, left: list[int]) -> int:
-    """The corner that can be cut off with the best triangle."""
+    """Return the corner that can be cut off with the best triangle."""
     ring = flat[left]
     before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
     area = _cross(ring - before, after - before)
@@ -186,7 +188,7 @@ def _best_ear(flat: FloatArray, left: list[int]) -> int:
         others = np.roll(ring, 1 - k, axis=0)[3:]
         if area[k] > 0 and not _inside(others, (before[k], ring[k], after[k])).any():
             return int(k)
-    return int(np.argmax(quality))  # a polygon that crosses itself: any order is as good
+    return int(np.argmax(quality))  # the polygon crosses itself: any order is as good
 
 
 def _inside(points: FloatArray, corners: tuple[FloatArray, ...]) -> NDArray[np.bool_]:
@@ -209,7 +211,7 @@ def _signed_area(ring: FloatArray) -> float:
 
 
 def _renewed(mesh: Mesh, daughters: tuple[int, int], around: float) -> Mesh:
-    """Good triangles on the daughters, junctions included; all other vertices stay."""
+    """Remesh the daughters, including junctions, to good triangles; other vertices stay."""
     if not can_remesh():
         return mesh
     own = np.isin(mesh.regions, daughters).any(axis=1)

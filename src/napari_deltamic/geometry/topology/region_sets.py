@@ -1,4 +1,4 @@
-"""Which regions meet in vertices and edges, in a form that is quickly compared."""
+"""The regions that meet in vertices and edges, as sets that are fast to compare."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ Keys = NDArray[np.uint64]
 
 @dataclass(frozen=True, eq=False)
 class RegionSets:
-    """Sets of regions, one for each of many things.
+    """Sets of regions, one for each of many items, such as vertices or edges.
 
     Attributes
     ----------
     key
-        (n,) uint64: a number that is the same for equal sets. Different sets have different ones,
-        but for one chance in 2^64.
+        (n,) uint64: a number that is the same for equal sets, and different for different ones but
+        for a chance of one in 2^64.
     size
-        (n,) how many regions.
+        (n,) number of regions in each set.
     members
-        (m, 2) thing and region, sorted.
+        (m, 2) item and region, sorted.
     """
 
     key: Keys
@@ -33,7 +33,7 @@ class RegionSets:
 
     @staticmethod
     def gathered(things: IntArray, regions: IntArray, count: int) -> RegionSets:
-        """Sets from things and the regions known of them, in any order, also repeatedly."""
+        """Make sets from pairs of item and region, in any order and possibly repeated."""
         base = int(regions.max(initial=0)) + 1
         found = np.unique(things.reshape(-1) * base + regions.reshape(-1))
         thing, region = np.divmod(found, base)
@@ -46,32 +46,32 @@ class RegionSets:
 
     @staticmethod
     def of_rows(regions: IntArray) -> RegionSets:
-        """Of each row of regions."""
+        """Return the set of regions in each row, (n, k)."""
         things = np.repeat(np.arange(len(regions)), regions.shape[1])
         return RegionSets.gathered(things, regions.reshape(-1), len(regions))
 
     def of(self, thing: int) -> tuple[int, ...]:
-        """The regions of one thing, increasing."""
+        """Return the sorted regions of one item."""
         first, last = np.searchsorted(self.members[:, 0], [thing, thing + 1])
         return tuple(self.members[first:last, 1].tolist())
 
 
 def vertex_sets(mesh: Mesh) -> RegionSets:
-    """The regions that meet in each vertex."""
+    """Return the regions that meet in each vertex."""
     regions = np.repeat(mesh.regions, 3, axis=0)
     things = np.repeat(mesh.faces.reshape(-1), 2)
     return RegionSets.gathered(things, regions.reshape(-1), len(mesh.vertices))
 
 
 def edge_sets(mesh: Mesh) -> RegionSets:
-    """The regions that meet in each edge."""
+    """Return the regions that meet in each edge."""
     regions = np.repeat(mesh.regions, 3, axis=0)
     things = np.repeat(mesh.face_edges().reshape(-1), 2)
     return RegionSets.gathered(things, regions.reshape(-1), len(mesh.edges()))
 
 
 def scrambled(regions: IntArray) -> Keys:
-    """A number of 64 bits for each region, far from each other (splitmix64).
+    """Return a 64-bit hash of each region's number (splitmix64).
 
     G. L. Steele, D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators",
     OOPSLA 2014.

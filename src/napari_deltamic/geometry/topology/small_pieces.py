@@ -1,4 +1,4 @@
-"""Pieces of regions that lie apart from the rest: pockets between cells, fragments of cells."""
+"""Finds and removes pieces of regions apart from the rest: pockets, and fragments of cells."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from .thin_places import ThinPlace
 
 
 def small_pieces(mesh: Mesh, volume: float) -> list[ThinPlace]:
-    """Pieces of regions that are smaller than ``volume`` um^3 and may vanish.
+    """Find the pieces of regions that are smaller than ``volume`` um^3 and may vanish.
 
-    A pocket of the outside that cells enclose is one, and each piece of a cell but its largest.
+    These are pockets of the outside that cells enclose, and all pieces of a cell but its largest.
     """
     pieces = _Pieces(mesh)
     small = pieces.outer & (pieces.volume < volume) & ~pieces.largest
@@ -33,14 +33,15 @@ def small_pieces(mesh: Mesh, volume: float) -> list[ThinPlace]:
 
 
 def absorbed(part: Submesh, place: ThinPlace, _: float) -> Iterator[Change]:
-    """A part of a mesh with a small piece given to the cell with the largest border to it.
+    """Yield a part in which a small piece belongs to the cell with the largest border to it.
 
-    Outside the cells it vanishes. Nothing if the piece is not there. Triangles are not good yet.
+    If it borders only the outside, it vanishes. Yields nothing if the piece is gone. Triangles are
+    not good yet.
 
     Parameters
     ----------
     part
-        All around the piece; it may have changed a little since the piece was found.
+        The part around the piece; it may have changed a little since the piece was found.
     place
         From :func:`small_pieces`.
     """
@@ -62,7 +63,7 @@ def absorbed(part: Submesh, place: ThinPlace, _: float) -> Iterator[Change]:
 
 
 def _rows_of(part: Submesh, place: ThinPlace) -> IntArray | None:
-    """The faces around a piece."""
+    """Return the faces around a piece; None if the piece is gone."""
     mesh, pieces = part.mesh, _Pieces(part.mesh)
     open_ones = np.zeros(len(pieces.region), bool)
     open_ones[pieces.piece[part.rim[mesh.faces].any(1)]] = True
@@ -76,9 +77,9 @@ def _rows_of(part: Submesh, place: ThinPlace) -> IntArray | None:
 
 
 class _Pieces:
-    """The connected surfaces of all regions.
+    """The connected pieces of all regions.
 
-    A piece is what one outer shell encloses: inner ones, around what lies within a region, and the
+    A piece is what one outer shell encloses. Inner shells, around things within a region, and the
     shells of a cluster seen from outside have negative volumes.
 
     Attributes
@@ -86,11 +87,11 @@ class _Pieces:
     piece
         (F, 2) number of the piece that each face bounds on each of its sides.
     region, volume
-        (P,) of each; um^3.
+        (P,) region and volume (um^3) of each piece.
     outer
-        (P,) bool: those that enclose something.
+        (P,) bool: pieces with a positive volume.
     largest
-        (P,) bool: the largest of each cell.
+        (P,) bool: the largest piece of each cell.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -115,7 +116,7 @@ class _Pieces:
         self.largest &= self.region != OUTSIDE
 
     def faces_of(self, chosen: NDArray[np.bool_]) -> list[IntArray]:
-        """Rows of the faces of some pieces, one after the other."""
+        """Return the rows of the faces of each chosen piece."""
         rows, side = np.nonzero(chosen[self.piece])
         number = self.piece[rows, side]
         order = np.argsort(number, kind="stable")

@@ -1,4 +1,4 @@
-"""Small places where walls cross, as in narrow wedges of meshes of labels, are smoothed out."""
+"""Smooths out small crossings of walls, such as in narrow wedges of meshes made from labels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STEP = 0.6  # of the way to the mean of the neighbours; chosen, it decides noth
 
 
 def smoothed_out(mesh: Mesh, edge: float) -> Mesh:
-    """The mesh with vertices near crossings moved to the mean of their neighbours, and remeshed.
+    """Move vertices near crossings to the mean of their neighbours, and remesh.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def smoothed_out(mesh: Mesh, edge: float) -> Mesh:
     Returns
     -------
     Mesh
-        Itself where nothing crosses. Where surfaces overlap widely they still do.
+        The same object if nothing crosses. Surfaces that overlap widely still do.
     """
     for steps in _STEPS:
         places = _places(mesh, edge)
@@ -52,7 +52,7 @@ def smoothed_out(mesh: Mesh, edge: float) -> Mesh:
 
 
 def _places(mesh: Mesh, edge: float) -> list[FloatArray]:
-    """(n, 3) um, of each place: the corners of the edges and faces that cross."""
+    """Return, for each place, the corners of edges and faces that cross, (n, 3) um."""
     found = crossings(mesh)
     corners = np.concatenate([mesh.edges()[found[:, 0]], mesh.faces[found[:, 1]]], axis=1)
     points = mesh.vertices_numpy()[np.unique(corners)]
@@ -64,7 +64,7 @@ def _places(mesh: Mesh, edge: float) -> list[FloatArray]:
 
 
 def _smoothed(part: Submesh, points: FloatArray, edge: float, steps: int) -> Change:
-    """A part with the vertices near some points moved, and good triangles there."""
+    """Smooth a part near some points, and make good triangles there."""
     mesh = part.mesh
     held: Mask = np.zeros(len(part.rim), bool)
     held[mesh.faces[part.rim[mesh.faces].any(1)]] = True
@@ -75,7 +75,7 @@ def _smoothed(part: Submesh, points: FloatArray, edge: float, steps: int) -> Cha
 
 
 def _nearer_their_neighbours(mesh: Mesh, free: Mask, steps: int) -> FloatArray:
-    """(V, 3) um: vertices at junctions move along these only, and where they end they stay."""
+    """Smooth vertices, (V, 3) um; those on junctions only along these, their ends not at all."""
     vertices, edges = mesh.vertices_numpy().copy(), mesh.edges()
     junction = mesh.edge_uses() > 2
     ends = np.bincount(edges[junction].ravel(), minlength=len(vertices))

@@ -1,4 +1,4 @@
-"""Parts of a mesh that are cut out, changed, and put back: nothing else is looked at or changed."""
+"""Parts of a mesh that are cut out, changed, and put back, while the rest stays untouched."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What has become of a mesh.
+    """A changed mesh, and where its vertices come from.
 
     Attributes
     ----------
     mesh
-        After the change.
+        The mesh after the change.
     origin
-        (V,) for each of its vertices the old one that it is, at the same place; -1 for new ones.
+        (V,) the old vertex, at the same place, that each of its vertices is; -1 for new ones.
     """
 
     mesh: Mesh
     origin: IntArray
 
     def then(self, later: Change) -> Change:
-        """This change and one of its mesh as a single one."""
+        """Combine this change with a later one of its mesh."""
         known = later.origin >= 0
         origin = np.where(known, self.origin[np.maximum(later.origin, 0)], -1)
         return Change(later.mesh, origin)
 
 
 def unchanged(mesh: Mesh) -> Change:
-    """A change that does nothing."""
+    """Return a change that does nothing."""
     return Change(mesh, np.arange(len(mesh.vertices)))
 
 
@@ -56,10 +56,10 @@ class Submesh:
     rows
         The faces of the whole mesh that it consists of, increasing.
     corners
-        (v,) which vertex of the whole each of its vertices is.
+        (v,) the vertex of the whole mesh that each of its vertices is.
     rim
-        (v,) bool: vertices that faces of the rest have, too. They and the edges between them must
-        stay, or the part does not fit any more.
+        (v,) bool: vertices that it shares with faces of the rest. They and the edges between them
+        must stay, or the part no longer fits.
     """
 
     mesh: Mesh
@@ -71,7 +71,7 @@ class Submesh:
 class Cutter:
     """Cuts parts out of a mesh.
 
-    What it needs to know about the whole is found once.
+    What it needs to know about the whole mesh is computed once.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -84,7 +84,7 @@ class Cutter:
         self._faces_at = np.bincount(mesh.faces.reshape(-1), minlength=len(self.vertices))
 
     def faces_in(self, low: FloatArray, high: FloatArray) -> IntArray:
-        """Rows of the faces that may reach into a box, increasing."""
+        """Return the sorted rows of the faces that may reach into a box."""
         reach = float((high - low).max()) / 2 + self._extent
         near = self._middles.query_ball_point((low + high) / 2, reach, p=np.inf)
         rows = np.sort(np.array(near, np.int64))
@@ -92,7 +92,7 @@ class Cutter:
         return rows[inside.all(1)]
 
     def part(self, rows: IntArray) -> Submesh:
-        """Some faces as a part."""
+        """Cut out some faces as a part."""
         corners, index = np.unique(self.mesh.faces[rows], return_inverse=True)
         index = index.reshape(-1, 3)
         mesh = Mesh(self.vertices[corners], index, self.mesh.regions[rows])
@@ -101,16 +101,16 @@ class Cutter:
 
 
 def put_back(mesh: Mesh, changes: Sequence[tuple[Submesh, Change]]) -> Change:
-    """The whole mesh with parts of it changed.
+    """Put changed parts back into the whole mesh.
 
-    Faces and vertices of the rest come first, in their order.
+    Faces and vertices of the rest come first, in their old order.
 
     Parameters
     ----------
     mesh
-        The whole.
+        The whole mesh.
     changes
-        Parts of it that share no face, and what has become of each; their rims are still there.
+        Parts that share no face, each with its change, which keeps the rim.
     """
     rest = np.ones(len(mesh.faces), bool)
     for part, _ in changes:
@@ -138,9 +138,9 @@ def put_back(mesh: Mesh, changes: Sequence[tuple[Submesh, Change]]) -> Change:
 
 
 def narrowed(part: Submesh, change: Change) -> tuple[Submesh, Change]:
-    """A change of a part as one of fewer faces: those that are the same before and after left out.
+    """Reduce a change of a part to the faces that differ before and after.
 
-    The parts of other changes may then have them.
+    The other faces can then belong to parts of other changes.
     """
     old = change.origin >= 0
     settled = np.flatnonzero(old[change.mesh.faces].all(1))
@@ -170,21 +170,21 @@ def _face_rows(faces: IntArray, regions: IntArray) -> IntArray:
 
 
 def _some(mesh: Mesh, mask: Mask) -> tuple[Mesh, IntArray]:
-    """A mesh of some faces, and which vertices of the given one it has."""
+    """Return a mesh of some faces, and the given mesh's vertices that it has."""
     corners, index = np.unique(mesh.faces[mask], return_inverse=True)
     some = Mesh(mesh.vertices_numpy()[corners], index.reshape(-1, 3), mesh.regions[mask])
     return some, corners
 
 
 def evened_around(part: Submesh, change: Change, points: FloatArray, edge: float) -> Change:
-    """A changed part with good triangles around some points; nothing moves elsewhere.
+    """Make good triangles around some points of a changed part; nothing moves elsewhere.
 
     Parameters
     ----------
     part
-        Before the change.
+        The part before the change.
     change
-        Its rim is as it was.
+        Its change, which keeps the rim.
     points
         (n, 3) um.
     edge
@@ -193,7 +193,7 @@ def evened_around(part: Submesh, change: Change, points: FloatArray, edge: float
     rim = np.zeros(len(change.origin), bool)
     old = change.origin >= 0
     rim[old] = part.rim[change.origin[old]]
-    # What the rest does around the rim is not known here: vertices beside it stay, too.
+    # The faces beyond the rim are not known here, so vertices beside it stay, too.
     away = cKDTree(points).query(change.mesh.vertices_numpy())[0]
     held = away > SIZES.free * edge
     held[change.mesh.faces[rim[change.mesh.faces].any(1)]] = True
@@ -202,7 +202,7 @@ def evened_around(part: Submesh, change: Change, points: FloatArray, edge: float
 
 
 def stayed(old: Mesh, new: Mesh, origin: IntArray) -> Change:
-    """A change in which vertices that have moved count as new."""
+    """Return a change in which vertices that have moved count as new."""
     known = np.flatnonzero(origin >= 0)
     same = (new.vertices_numpy()[known] == old.vertices_numpy()[origin[known]]).all(1)
     kept = np.full(len(origin), -1)
@@ -215,7 +215,7 @@ def stayed(old: Mesh, new: Mesh, origin: IntArray) -> Change:
 
 @dataclass(frozen=True, eq=False)
 class Census:
-    """What regions and walls a mesh has, kept up to date while parts of it change.
+    """The regions and walls of a mesh, kept up to date while parts of it change.
 
     Attributes
     ----------
@@ -230,14 +230,14 @@ class Census:
 
     @staticmethod
     def of(mesh: Mesh, middle: FloatArray | None = None) -> Census:
-        """Of a mesh; of a part, volumes are relative to a point (um) that it may choose."""
+        """Count a mesh; volumes of an open part are relative to ``middle``, (3,) um."""
         pairs, wall = mesh.interfaces()
         count = np.bincount(wall, minlength=len(pairs)).tolist()
         walls = {(a, b): n for (a, b), n in zip(pairs.tolist(), count, strict=True)}
         return Census(walls, mesh.volumes(middle))
 
     def with_part(self, before: Mesh, after: Mesh) -> Census:
-        """After a part has changed."""
+        """Return the census after a part of the mesh has changed."""
         middle = before.vertices_numpy().mean(0)
         walls, volumes = dict(self.walls), dict(self.volumes)
         own_pairs = set[tuple[int, int]]()
@@ -251,14 +251,14 @@ class Census:
         gone = [pair for pair in own_pairs if not walls[pair]]
         for pair in gone:
             del walls[pair]
-        if gone:  # asked thousands of times with many cells, and seldom so
+        if gone:  # rare, while this method is called thousands of times with many cells
             there = {region for pair in walls for region in pair}
             volumes = {r: v for r, v in volumes.items() if r in there}
         return Census(walls, volumes)
 
     @property
     def regions(self) -> set[int]:
-        """All but the outside."""
+        """All regions but the outside."""
         return set(self.volumes)
 
     @property
@@ -273,9 +273,9 @@ class Census:
 
 
 def fits(part: Submesh, change: Change) -> bool:
-    """Whether a changed part leaves every region closed, and crosses nowhere.
+    """Whether a changed part keeps every region closed, and crosses nowhere.
 
-    Its border must be as it was: regions that are open there are closed by the rest.
+    Its border must be as it was, as the rest closes the regions that are open there.
     """
     old = change.origin >= 0
     if not np.isin(np.flatnonzero(part.rim), change.origin[old]).all():
@@ -290,7 +290,7 @@ def fits(part: Submesh, change: Change) -> bool:
 
 
 def _open_edges(mesh: Mesh) -> IntArray:
-    """(n, 3) region and the vertices of each edge that an odd number of its faces share."""
+    """Return (n, 3) region and vertices of each edge that an odd number of its faces share."""
     edges, count = mesh.edges(), len(mesh.edges())
     keys = mesh.regions.T[:, :, None] * count + mesh.face_edges()
     found, times = np.unique(keys, return_counts=True)

@@ -1,4 +1,4 @@
-"""Where the topology of a mesh is about to change: thin regions, and walls that hardly exist."""
+"""Finds where topology is about to change: thin regions, and very small walls or junctions."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ..contacts import junction_edges, walls
 from ..mesh import FloatArray, IntArray, Mesh
 from .change_sizes import SIZES
 
-_SAMPLE = 200  # vertices whose faces within reach tell how many there are; chosen
-_PAIRS = 500_000  # at a time: about 500 MB; chosen
+_SAMPLE = 200  # vertices from which the number of faces within reach is estimated; chosen
+_PAIRS = 500_000  # of a vertex and a face at a time: about 500 MB; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,18 +25,18 @@ class ThinPlace:
     Attributes
     ----------
     regions
-        The thin one, 0 for a gap between cells or a hole through one; the two of a small wall; the
-        three of a short junction.
+        The thin region, 0 for a gap between cells or a hole through one; the two of a small wall;
+        the three of a short junction.
     sides
-        What lies around, smaller numbers first; only one for a neck or a hole; what lies at the
-        two ends of a short junction.
+        The regions on both sides, the smaller number first; only one for a neck or a hole; those at
+        the two ends of a short junction.
     points
         (n, 3) um: midway between the sides.
     width
-        um: the mean distance of the sides there; of a wall the root of its area, of a junction its
-        length, of a piece the third root of its volume.
+        um: the mean distance of the sides there; for a wall the square root of its area, for a
+        junction its length, for a piece the cube root of its volume.
     volume
-        um^3: of a small piece that may vanish as a whole; 0 for all others.
+        um^3, of a small piece that may vanish as a whole; 0 for all others.
     """
 
     regions: tuple[int, ...]
@@ -57,7 +57,7 @@ class ThinPlace:
 
     @property
     def center(self) -> FloatArray:
-        """(3,) um."""
+        """Mean of the points, (3,) um."""
         mean: FloatArray = self.points.mean(axis=0)
         return mean
 
@@ -68,9 +68,9 @@ def thin_places(
     apart: float | None = None,
     wanted: Callable[[int, tuple[int, ...]], bool] | None = None,
 ) -> list[ThinPlace]:
-    """Places where a region is thinner than ``reach`` um.
+    """Find the places where a region is thinner than ``reach`` um.
 
-    The corner between two walls along the junction in which they meet is none.
+    The corner between two walls along their junction does not count.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ def thin_places(
     reach
         um; well below the length of the edges.
     apart
-        um: what lies further away is another place. Default: five times the reach.
+        um: points farther apart belong to different places. Default: five times the reach.
     wanted
-        ``wanted(region, sides)``: whether such places are looked for. Default: all are.
+        ``wanted(region, sides)``: whether to look for such places. Default: for all.
     """
     found = _facing(mesh, reach)
     if not len(found.points):
@@ -105,7 +105,7 @@ def thin_places(
 
 
 def small_walls(mesh: Mesh, area: float, apart: float = 0.0) -> list[ThinPlace]:
-    """Pieces of walls between two cells that are smaller than ``area`` um^2.
+    """Find pieces of walls between two cells that are smaller than ``area`` um^2.
 
     Pieces between the same cells that share a vertex, or whose corners are no more than ``apart``
     um from each other, are one place.
@@ -129,7 +129,7 @@ def small_walls(mesh: Mesh, area: float, apart: float = 0.0) -> list[ThinPlace]:
 
 
 def _with_small_pieces(mesh: Mesh, pairs: IntArray, wall: IntArray, area: float) -> IntArray:
-    """Walls between two cells with a piece, of faces that share a vertex, smaller than an area."""
+    """Return walls between two cells with a piece (joined by vertices) smaller than an area."""
     n = len(mesh.vertices)
     corners, corner = np.unique(wall[:, None] * n + mesh.faces, return_inverse=True)
     piece = sharing(corner.reshape(-1, 3), len(corners))
@@ -139,7 +139,7 @@ def _with_small_pieces(mesh: Mesh, pairs: IntArray, wall: IntArray, area: float)
 
 
 def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
-    """Junctions of three regions shorter than ``length`` um between two that do not touch.
+    """Find junctions of three regions, shorter than ``length`` um, between two that do not touch.
 
     The three are the regions of such a place, the two at the ends of the junction its sides.
     """
@@ -166,7 +166,7 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
 
 
 def _pieces_of(faces: IntArray, points: FloatArray, apart: float) -> IntArray:
-    """Piece of each face: faces that share a vertex, or whose corners are near to each other."""
+    """Return the piece of each face; faces of one share a vertex or have corners near others."""
     links = np.concatenate([faces[:, :2], faces[:, 1:]])
     if apart > 0:
         links = np.concatenate([links, cKDTree(points).query_pairs(apart, output_type="ndarray")])
@@ -175,7 +175,7 @@ def _pieces_of(faces: IntArray, points: FloatArray, apart: float) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class _Facing:
-    """Vertices that face another surface across a region: the nearest place of each of those."""
+    """Vertices that face another surface across a region, each with the nearest place on it."""
 
     vertex: IntArray
     region: IntArray
@@ -220,7 +220,7 @@ def _all_of(parts: list[_Facing]) -> _Facing:
 def _of_pairs(
     mesh: Mesh, normals: FloatArray, vertex: IntArray, face: IntArray, point: FloatArray
 ) -> _Facing:
-    """Those of pairs of a vertex and a face, and its nearest point, that face each other."""
+    """Select the pairs of a vertex and a face (with its nearest point) that face each other."""
     places, faces, regions = mesh.vertices_numpy(), mesh.faces, mesh.regions
     way = point - places[vertex]
     width = np.linalg.norm(way, axis=1)
@@ -254,7 +254,7 @@ def _of_pairs(
 
 
 def _incident(mesh: Mesh, vertices: IntArray) -> tuple[IntArray, IntArray]:
-    """Position in ``vertices`` and face, for each face of each of them."""
+    """Return, for each face of each vertex, the position in ``vertices`` and the face."""
     corners = mesh.faces.reshape(-1)
     order = np.argsort(corners, kind="stable")
     start = np.searchsorted(corners[order], vertices)
@@ -283,7 +283,7 @@ def _corner(mesh: Mesh, vertex: IntArray, face: IntArray, three: IntArray) -> np
 
 
 class _Meeting:
-    """Which regions meet in a vertex: a list, as a table would have a column for each cell."""
+    """Regions that meet in each vertex, as a sorted list: a table would need a column for each."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._size = int(mesh.regions.max()) + 1
@@ -294,12 +294,12 @@ class _Meeting:
         ).tolist()
 
     def at(self, vertices: IntArray) -> set[int]:
-        """The regions that meet in any of some vertices."""
+        """Return the regions that meet in any of some vertices."""
         spans = (self._keys[self._start[v] : self._start[v + 1]] for v in vertices.tolist())
         return {int(key % self._size) for span in spans for key in span}
 
     def has(self, vertices: IntArray, regions: IntArray) -> np.ndarray:
-        """(...) bool: whether a region is one of those that meet in a vertex."""
+        """Return (...) bool: whether a region is one of those that meet in a vertex."""
         wanted = vertices * self._size + regions
         row = np.searchsorted(self._keys, wanted).clip(0, len(self._keys) - 1)
         found: np.ndarray = self._keys[row] == wanted
@@ -307,7 +307,7 @@ class _Meeting:
 
 
 def _near_each_other(points: FloatArray, reach: float) -> list[IntArray]:
-    """Rows of points in groups further than about ``reach`` from each other."""
+    """Group points; groups are farther than about ``reach`` from each other."""
     # Crumpled places hold a great many points: cells of a grid stand for them.
     index = np.floor(2 * points / reach).astype(np.int64)
     cells, cell = np.unique(index, axis=0, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Thin sheets, necks and holes give way, on the mesh itself.
+"""Lets thin sheets, necks and holes give way, on the mesh itself.
 
 Where a region is thin between two others, one of these takes what lies between them: its own wall
 there goes, that of the other side becomes a wall between the two, and a strip around closes the
@@ -24,14 +24,14 @@ Mask = NDArray[np.bool_]
 
 
 def thinned(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
-    """What a part may be once a thin place has given way; triangles are not good yet.
+    """Yield what a part may become when a thin place gives way; triangles are not good yet.
 
     Parameters
     ----------
     part
-        All around the place; surfaces do not cross.
+        The part around the place; its surfaces do not cross.
     place
-        Of one region that is thin there.
+        Place where one region is thin.
     edge
         um: the edge length of the mesh.
     """
@@ -71,16 +71,16 @@ def _sheet_opened(mesh: Mesh, place: ThinPlace, near: Mask) -> Iterator[Change]:
 
 
 def _at_junctions(mesh: Mesh) -> Mask:
-    """The faces with a corner in a junction."""
+    """Return the faces with a corner in a junction."""
     junction = np.zeros(len(mesh.vertices), bool)
     junction[mesh.edges()[mesh.edge_uses() > 2]] = True
     return np.asarray(junction[mesh.faces].any(1), dtype=bool)
 
 
 def _grown_over_junctions(mesh: Mesh, patch: Mask, allowed: Mask) -> Mask:
-    """A patch of a region's surface whose border does not run along junctions.
+    """Grow a patch of a region's surface until its border does not run along junctions.
 
-    Empty where it cannot be had.
+    Empty if that is impossible.
     """
     patch, edge_of = patch.copy(), mesh.face_edges()
     junction = mesh.edge_uses() > 2
@@ -111,7 +111,7 @@ def _necks_cut(mesh: Mesh, place: ThinPlace, near: Mask) -> Iterator[Change]:
 
 
 def _cap(places: FloatArray, loop: Sequence[int]) -> IntArray:
-    """Triangles that fill a closed line; diagonals of the least sum of squares.
+    """Fill a closed line with triangles; the squared lengths of diagonals have the least sum.
 
     G. T. Klincsek, "Minimal triangulations of polygonal domains", Ann. Discrete Math. 9, 1980.
     """
@@ -138,7 +138,7 @@ def _cap(places: FloatArray, loop: Sequence[int]) -> IntArray:
 
 
 class _Outward:
-    """The faces of a region's surface (own), and all faces turned so that it lies behind them."""
+    """A region's faces (own), and all faces turned so that the region lies behind its own."""
 
     def __init__(self, mesh: Mesh, region: int) -> None:
         self.own: Mask = (mesh.regions == region).any(1)
@@ -147,9 +147,9 @@ class _Outward:
 
 
 def _patch(mesh: Mesh, mask: Mask, place: ThinPlace, seeds: Mask | None = None) -> Mask:
-    """Of some faces the connected ones that are nearest to a place; they share edges.
+    """Return the group of faces, joined by edges within a mask, that is nearest to a place.
 
-    ``seeds``: one of these must be among them.
+    With ``seeds``, one of these faces must be in the group.
     """
     rows = np.flatnonzero(mask)
     patch = np.zeros(len(mask), bool)
@@ -164,7 +164,7 @@ def _patch(mesh: Mesh, mask: Mask, place: ThinPlace, seeds: Mask | None = None) 
 
 
 def _loops(faces: IntArray, patch: Mask) -> list[list[int]]:
-    """The closed lines around a patch of faces, as these run; none where a line touches itself."""
+    """Return the closed lines around a patch of faces, as these run; none if one touches itself."""
     ends = faces[patch][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
     directed = {(u, w) for u, w in ends}
     border = [(u, w) for u, w in directed if (w, u) not in directed]
@@ -185,10 +185,11 @@ def _loops(faces: IntArray, patch: Mask) -> list[list[int]]:
 
 
 def _ring(mesh: Mesh, rest: Mask, one: list[int], other: list[int]) -> IntArray | None:
-    """Triangles between two closed lines that run the same way; least sum of squared diagonals.
+    """Join two closed lines that run the same way by triangles.
 
-    The first line's edges are taken as they run, those of the other one the other way round. None
-    if they cannot be had without an edge that other faces (rest) have already.
+    The sum of squared diagonals is the least possible. Triangles follow the first line's edges, and
+    those of the other one in reverse. None if that is impossible without an edge that other faces
+    (rest) have already.
     """
     places = mesh.vertices_numpy()
     across = ((places[one][:, None] - places[other][None]) ** 2).sum(2)
@@ -229,7 +230,7 @@ def _ring(mesh: Mesh, rest: Mask, one: list[int], other: list[int]) -> IntArray 
 def _replaced(
     mesh: Mesh, rest: Mask, regions: IntArray, added: IntArray, sides: tuple[int, int]
 ) -> Change:
-    """A mesh with faces left out and others added."""
+    """Return a mesh with some faces left out and others added."""
     faces = np.concatenate([mesh.faces[rest], added])
     pairs = np.concatenate([regions[rest], np.tile(np.array(sides), (len(added), 1))])
     used, index = np.unique(faces, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Surfaces that cross become walls: their regions are put into voxels and meshed anew."""
+"""Turns crossing surfaces into walls: their regions are drawn into voxels and meshed anew."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HOPELESS = "surfaces cross in a way that cannot be repaired: start from other s
 
 
 def untangled(mesh: Mesh) -> Rearranged:
-    """The mesh without crossings: each point belongs to the region in which it lies deepest.
+    """Remove crossings from a mesh: each point goes to the region in which it lies deepest.
 
     Closed surfaces that overlap come to share a wall. Clusters of cells in which nothing crosses
     stay as they are.
@@ -54,7 +54,7 @@ def untangled(mesh: Mesh) -> Rearranged:
 
 
 def _crossing_clusters(mesh: Mesh, found: IntArray) -> list[IntArray]:
-    """Rows of the faces of each cluster, of vertices that are connected or cross, where any do."""
+    """Return the faces of each cluster of connected or crossing surfaces in which any cross."""
     vertices = mesh.edges()[found[:, 0]][:, 0]
     links = np.concatenate([mesh.edges(), np.column_stack([vertices, mesh.faces[found[:, 1], 0]])])
     cluster = connected(links, len(mesh.vertices))
@@ -64,7 +64,7 @@ def _crossing_clusters(mesh: Mesh, found: IntArray) -> list[IntArray]:
 
 
 def _untangled(part: Submesh, edge: float) -> Change:
-    """A cluster without crossings."""
+    """Remove the crossings of one cluster."""
     mesh = part.mesh
     box = _Box(mesh, edge)
     labels, overlap = box.deepest(mesh)
@@ -91,7 +91,7 @@ def _untangled(part: Submesh, edge: float) -> Change:
 
 
 class _Box:
-    """Voxels around a mesh: low is the first one's centre (um), size their side (um)."""
+    """Voxels around a mesh; low : centre of the first one, um. size : their side, um."""
 
     def __init__(self, mesh: Mesh, edge: float) -> None:
         low, high = mesh.bounds()
@@ -103,7 +103,7 @@ class _Box:
         self.shape = tuple((np.ceil((high - low) / self.size).astype(int) + 1).tolist())
 
     def deepest(self, mesh: Mesh) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """Region of each voxel, the deepest where several overlap, and where they do."""
+        """Return the region of each voxel, the deepest if several overlap, and where they do."""
         labels = np.zeros(self.shape, np.int32)
         depth = np.zeros(self.shape)
         overlap = np.zeros(self.shape, bool)
@@ -118,6 +118,6 @@ class _Box:
         return labels, overlap
 
     def centers(self, mask: NDArray[np.bool_]) -> FloatArray:
-        """(n, 3) um: centres of some voxels."""
+        """Return the centres of some voxels, (n, 3) um."""
         found: FloatArray = self.low + self.size * np.argwhere(mask)
         return found

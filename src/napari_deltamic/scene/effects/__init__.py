@@ -1,4 +1,4 @@
-"""Effects: optional parts of image formation, each a small class; absent ones are not computed."""
+"""Effects: optional parts of image formation, one class each; absent ones are not computed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ KINDS: dict[str, type[Effect]] = {
         SecondView,
     )
 }
-# What is no effect, and where it belongs instead.
+# Names that are no effects, and where they belong instead.
 REFUSED = {
     "bulk": "light inside cells is part of what is labelled: use --structure both",
     "z_scale": "a factor on z is the same as another shape: correct the voxel size instead",
@@ -60,13 +60,13 @@ REFUSED = {
 class Effects(BaseModel):
     """The effects of a scene; None where one is absent.
 
-    ``Effects.of("halo", "bleaching")`` makes those with their defaults. A list of names, or a
-    mapping of names to fields, is taken wherever a settings object holds effects.
+    ``Effects.of("halo", "bleaching")`` makes those with their defaults. Settings objects also
+    accept a list of names, or a mapping of names to fields.
 
     Raises
     ------
     InputError
-        By :meth:`of` and :meth:`replace`, where a name is unknown, or where two are to be fitted
+        By :meth:`of` and :meth:`replace`, if a name is unknown, or two effects are to be fitted
         that no image can tell apart.
     """
 
@@ -107,7 +107,7 @@ class Effects(BaseModel):
 
     @classmethod
     def of(cls, *chosen: str | Effect) -> Effects:
-        """These effects; names stand for their defaults."""
+        """Return these effects; names stand for effects with their defaults."""
         found: dict[str, Any] = {}
         for effect in chosen:
             if isinstance(effect, Effect):
@@ -117,66 +117,66 @@ class Effects(BaseModel):
         return _made(cls, found)
 
     def present(self) -> tuple[Effect, ...]:
-        """The effects that are there, in the order of the fields."""
+        """Return the present effects, in the order of the fields."""
         held = (getattr(self, name) for name in KINDS)
         return tuple(effect for effect in held if effect is not None)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of those that are there."""
+        """The names of the present effects."""
         return tuple(effect.name for effect in self.present())
 
     def role(self, kind: type[E]) -> E | None:
-        """The one that does a kind of thing; None where none does."""
+        """Return the present effect of a kind; None if there is none."""
         return next((effect for effect in self.present() if isinstance(effect, kind)), None)
 
     @property
     def detector(self) -> DetectorEffect | None:
-        """What made the image."""
+        """The effect of the detector, if any."""
         return self.role(DetectorEffect)
 
     @property
     def depth(self) -> DepthEffect | None:
-        """What has the PSF change with depth."""
+        """The effect by which the PSF changes with depth, if any."""
         return self.role(DepthEffect)
 
     @property
     def view(self) -> ViewEffect | None:
-        """A further image of the scene."""
+        """The effect that is a further image of the scene, if any."""
         return self.role(ViewEffect)
 
     @property
     def spread(self) -> float:
-        """um: how far from the surface's own image voxels count because of them; 0: no further."""
+        """Distance (um) from the surface's own image within which voxels count due to effects."""
         return max((e.spread for e in self.present() if isinstance(e, TransferEffect)), default=0.0)
 
     def in_role(self, kind: type[Effect], effect: Effect | None) -> Effects:
-        """The same with this one alone, or (None) none, that does a kind of thing."""
+        """Return the effects with this one as the only one of its kind, or none (None)."""
         others = self.without(*(e.name for e in self.present() if isinstance(e, kind)))
         return others if effect is None else others.adding(effect)
 
     def replace(self, **changed: Effect | None) -> Effects:
-        """The same with some changed, added, or (None) absent."""
+        """Return the effects with some changed, added, or (None) removed."""
         return _made(type(self), {**dict(self), **changed})
 
     def adding(self, *effects: Effect) -> Effects:
-        """The same with some more, or with others of their names."""
+        """Return the effects with some added; those of the same names are replaced."""
         return self.replace(**{effect.name: effect for effect in effects})
 
     def of_a_further_image(self) -> Effects:
-        """The same without what belongs to one image alone."""
+        """Return the effects without those that belong to one image alone."""
         return self.without(*(e.name for e in self.present() if e.of_one_image))
 
     def without(self, *names: str) -> Effects:
-        """The same without some."""
+        """Return the effects without some."""
         return self.replace(**dict.fromkeys(names))
 
     def fitted(self) -> tuple[Effect, ...]:
-        """The effects with numbers that are fitted."""
+        """Return the effects with numbers that are fitted."""
         return tuple(e for e in self.present() if e.fit and e.bounds)
 
     def to_text(self) -> str:
-        """What ``--effects`` takes: ``halo:fraction=0.05:width=2,bleaching``."""
+        """Return the text of ``--effects``: ``halo:fraction=0.05:width=2,bleaching``."""
         words = []
         for effect in self.present():
             fields = effect.model_dump(mode="json", exclude_defaults=True)
@@ -186,7 +186,7 @@ class Effects(BaseModel):
 
     @classmethod
     def from_text(cls, text: str) -> Effects:
-        """Read :meth:`to_text`; ``attenuation=0.01`` gives the first number of an effect."""
+        """Read :meth:`to_text`'s text; ``attenuation=0.01`` sets the first number of an effect."""
         found: dict[str, dict[str, Any]] = {}
         for word in _split(text, ","):
             head, *parts = _split(word, ":") or [word]
@@ -200,12 +200,12 @@ class Effects(BaseModel):
         return _made(cls, found)
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
-        """Plain values of those that are there, as JSON and TOML hold them."""
+        """Return plain values of the present effects for JSON and TOML."""
         return {e.name: e.model_dump(mode="json", exclude_none=True) for e in self.present()}
 
 
 def _split(text: str, mark: str) -> list[str]:
-    """Parts between marks that are not within brackets or quotes."""
+    """Split a text at marks that are not within brackets or quotes."""
     held = r"""\[[^]]*\]|\{[^}]*\}|"[^"]*" """.strip()
     return re.findall(rf"(?:{held}|[^{mark}])+", text)
 
@@ -223,17 +223,17 @@ def _value(text: str) -> Any:
 
 
 def as_effects(chosen: Effects | Sequence[str]) -> Effects:
-    """Effects from themselves, or from names, which stand for their defaults."""
+    """Return effects as they are, or make them from names, with their defaults."""
     return chosen if isinstance(chosen, Effects) else Effects.of(*chosen)
 
 
 def kind_of(role: type[E]) -> type[E]:
-    """The class of the effect that does a kind of thing, of which there is one."""
+    """Return the class of the only effect of a kind."""
     return next(kind for kind in KINDS.values() if issubclass(kind, role))
 
 
 def check_name(name: str) -> None:
-    """ValueError, with what to do, unless it is the name of an effect."""
+    """Raise a ValueError that says what to do unless it is the name of an effect."""
     if name in REFUSED:
         raise ValueError(f"{name} is no effect: {REFUSED[name]}")
     if name not in KINDS:

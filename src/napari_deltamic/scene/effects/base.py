@@ -1,4 +1,4 @@
-"""What every effect is: a small object that says where it acts, what it costs and its numbers."""
+"""The base classes of effects: where each acts, what it costs, and its numbers."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Axes = tuple[Tensor, Tensor, Tensor]
 
 @dataclass(frozen=True)
 class Cost:
-    """What one rendering takes on top of a plain one.
+    """What an effect adds to the cost of a plain rendering.
 
     Attributes
     ----------
     transforms
-        Further transforms of the mesh, each as dear as the plain one with its gradient.
+        Further transforms of the mesh, each as expensive as the plain one with its gradient.
     images
         Further transforms from the band to the image.
     bands, voxels
@@ -47,7 +47,7 @@ class Bounds:
 
 
 class Value(NamedTuple):
-    """One number of an effect, as it is told to a user."""
+    """One number of an effect, as it is shown to a user."""
 
     name: str
     unit: str
@@ -55,34 +55,34 @@ class Value(NamedTuple):
 
 
 class Effect(BaseModel):
-    """An optional part of image formation; where it is absent it is not computed.
+    """An optional part of image formation; not computed if absent.
 
-    Subclasses name their numbers in ``bounds``; what they do is the one method of the side that
-    they act on. There, ``frame`` is the grid of the whole image, to which positions are relative,
-    also where only every other voxel of it is rendered.
+    Subclasses name their numbers in ``bounds`` and implement the one method of the side on which
+    they act. There, ``frame`` is the grid of the whole image, to which positions are relative, even
+    if only every other voxel of it is rendered.
 
     Attributes
     ----------
     name
-        Of its field in :class:`Effects`.
+        Name of its field in :class:`Effects`.
     where
-        The side it acts on, which fixes what it costs.
+        The side on which it acts, which determines its cost.
     help
         What it is, and what leaving it out does to the shape.
     cost
-        What it adds to a rendering.
+        Cost that it adds to a rendering.
     contradicts
-        Names of effects that the image cannot tell from this one: only one of them can be fitted.
+        Names of effects that no image can tell from this one: only one of them can be fitted.
     bounds
-        Field -> bounds of its numbers; a field may hold several.
+        Bounds of its numbers by field; a field may hold several.
     tried_widths
-        Field -> values, in widths of the PSF in the plane, that are tried when the effect is
-        judged. Such a number says how far the effect reaches and nothing of how much there is of
-        it, so that the derivative in it is zero where the effect changes nothing.
+        By field, values in widths of the PSF in the plane that are tried when the effect is judged.
+        Such a number says how far the effect reaches but not how strong it is, so the derivative by
+        it is zero where the effect changes nothing.
     needs_data
-        Whether it is data: no single image can say that it is called for.
+        Whether it is data, so that no image can show that it is needed.
     of_one_image
-        Whether it belongs to one image alone: a further view of the scene has its own, or none.
+        Whether it belongs to one image only: a further view of the scene has its own, or none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -102,21 +102,21 @@ class Effect(BaseModel):
 
     @classmethod
     def neutral(cls) -> Self:
-        """The instance that changes nothing: a candidate is judged by its derivative there."""
+        """Return the instance that changes nothing; candidates are judged by derivatives at it."""
         return cls()
 
     def reach(self, share: float) -> float:
-        """um beyond which it brings less than ``share`` of the light anywhere."""
+        """Return the distance (um) beyond which it adds less than ``share`` of the light."""
         return 0.0
 
     def hides_reach(self) -> bool:
-        """Whether it hides how far from a surface the surface's own image reaches."""
+        """Whether it hides how far the image of a surface itself reaches."""
         return False
 
     # ------------------------------------------------------------------------------- numbers
 
     def values(self) -> tuple[Value, ...]:
-        """Every number with name and unit."""
+        """Return every number with name and unit."""
         found = []
         for field, bounds in self.bounds.items():
             held = getattr(self, field)
@@ -128,18 +128,18 @@ class Effect(BaseModel):
         return tuple(found)
 
     def names_of(self, field: str) -> tuple[str, ...]:
-        """Names of the numbers of a field that holds several."""
+        """Return the names of the numbers of a field that holds several."""
         return tuple(f"{field}[{k}]" for k in range(len(getattr(self, field))))
 
     def parameters(self) -> Tensor:
-        """(P,) its numbers in units of their scale; any value is allowed back."""
+        """Return (P,) its numbers in units of their scale."""
         return torch.tensor(
             [v.value / b.scale for v, b in zip(self.values(), self._each(), strict=True)],
             dtype=torch.float64,
         )
 
     def with_parameters(self, parameters: Tensor) -> Self:
-        """The effect with other values of :meth:`parameters`; those out of bounds are clamped."""
+        """Return the effect with other values of :meth:`parameters`, clamped to their bounds."""
         bounds = self._each()
         numbers = [
             float(np.clip(float(p) * b.scale, b.low, b.high))
@@ -156,13 +156,13 @@ class Effect(BaseModel):
         return self.model_copy(update=changed)
 
     def at_bounds(self) -> tuple[Tensor, Tensor]:
-        """(P,) and (P,) bool: which of its numbers are at their lower and upper bound."""
+        """Return (P,), (P,) bool: which of its numbers are at their lower and upper bounds."""
         low = [v.value <= b.low for v, b in zip(self.values(), self._each(), strict=True)]
         high = [v.value >= b.high for v, b in zip(self.values(), self._each(), strict=True)]
         return torch.tensor(low, dtype=torch.bool), torch.tensor(high, dtype=torch.bool)
 
     def _each(self) -> list[Bounds]:
-        """The bounds of every number."""
+        """Return the bounds of every number."""
         found = []
         for field, bounds in self.bounds.items():
             held = getattr(self, field)
@@ -171,57 +171,57 @@ class Effect(BaseModel):
 
 
 class FaceEffect(Effect):
-    """Acts on the faces before they are summed: free."""
+    """An effect on the faces before they are summed, which costs nothing."""
 
     where: ClassVar[Where] = "object"
 
     def face_weights(self, centroids: Tensor, frame: Grid) -> Tensor:
-        """(F,) factors on the brightness of faces, from their centroids (F, 3) um."""
+        """Return (F,) factors on the brightness of faces, from their centroids (F, 3) um."""
         raise NotImplementedError
 
 
 class DepthEffect(Effect):
-    """Has the PSF change with depth: between that of the first and that of the last slice."""
+    """An effect by which the PSF changes with depth, from that of the first slice to the last's."""
 
     where: ClassVar[Where] = "object"
 
     def depths(self, centroids: Tensor, frame: Grid) -> Tensor:
-        """(F,) relative depth: 0 in the first slice and before, 1 in the last and beyond."""
+        """Return (F,) relative depths: 0 up to the first slice, 1 from the last on."""
         raise NotImplementedError
 
     def transfers(self, axes: Axes) -> tuple[Tensor, Tensor]:
-        """Factors on the OTF in the first and in the last slice."""
+        """Return factors on the OTF in the first and in the last slice."""
         raise NotImplementedError
 
 
 class TransferEffect(Effect):
-    """Acts on the OTF."""
+    """An effect on the OTF."""
 
     where: ClassVar[Where] = "fourier"
 
     def transfer(self, axes: Axes, frame: Grid) -> Tensor:
-        """Factor on the OTF at wavevector components that broadcast over a box (rad/um)."""
+        """Return a factor on the OTF at wavevector components (rad/um) that span a box."""
         raise NotImplementedError
 
     @property
     def spread(self) -> float:
-        """um: how far from the surface's own image voxels count because of it."""
+        """Distance (um) from the surface's own image within which voxels count because of it."""
         return 0.0
 
 
 class GainEffect(Effect):
-    """Multiplies the image."""
+    """An effect that multiplies the image."""
 
     where: ClassVar[Where] = "image"
     cost: ClassVar[Cost] = Cost(voxels=1)
 
     def gain(self, grid: Grid, frame: Grid) -> Tensor:
-        """Factor on the image, broadcastable to the shape of the grid."""
+        """Return a factor on the image, broadcastable to the shape of the grid."""
         raise NotImplementedError
 
 
 class OffsetEffect(Effect):
-    """Adds to the image, in the image's unit: a fit takes it from the measured image once.
+    """An effect that adds to the image, in its unit; a fit subtracts it from the measured image.
 
     What it adds is linear in its numbers.
     """
@@ -229,20 +229,20 @@ class OffsetEffect(Effect):
     where: ClassVar[Where] = "image"
 
     def offset(self, grid: Grid, frame: Grid) -> Tensor:
-        """What is added to the image, broadcastable to the shape of the grid."""
+        """Return what is added to the image, broadcastable to the shape of the grid."""
         raise NotImplementedError
 
     def summed(self, image: Tensor, grid: Grid, frame: Grid) -> Tensor:
-        """(P,) an image (Z, Y, X) times what each number adds for 1, summed over the voxels."""
+        """Return (P,) sums over an image (Z, Y, X) times what one unit of each number adds."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class Detection:
-    """What an image shows of its detection.
+    """What an image shows about its detection.
 
-    gain, offset, read_noise : as of a detector.
-    saturation : intensity of full voxels; None where none is full.
+    gain, offset, read_noise : as in a camera.
+    saturation : intensity of saturated voxels; None if there are none.
     failed : slices that hold no image.
     """
 
@@ -254,7 +254,7 @@ class Detection:
 
 
 class VoxelEffect(Effect):
-    """Says which voxels tell nothing, and how noisy the others are; no image is rendered."""
+    """An effect on the likelihood: which voxels tell nothing, or how noisy the others are."""
 
     where: ClassVar[Where] = "likelihood"
     fit: bool = Field(default=False, description="nothing of it is fitted with the shape")
@@ -262,19 +262,19 @@ class VoxelEffect(Effect):
     of_one_image: ClassVar[bool] = True
 
     def missing(self, image: np.ndarray) -> np.ndarray:
-        """(Z, Y, X) bool: voxels that tell nothing."""
+        """Return (Z, Y, X) bool: voxels that tell nothing."""
         return np.zeros(image.shape, bool)
 
     def spoil(self, image: np.ndarray) -> None:
         """Write into a simulated image (Z, Y, X) what such voxels hold."""
 
     def about_missing(self) -> str:
-        """What such voxels are, in a few words."""
+        """Say in a few words what such voxels are."""
         return "voxels tell nothing"
 
     @classmethod
     def seen(cls, detection: Detection) -> Self | None:
-        """What the image itself shows of it; None where it shows nothing."""
+        """Return the effect if the image itself shows it; else None."""
         return None
 
 
@@ -298,9 +298,9 @@ class ViewEffect(Effect):
 
 
 def relative(grid: Grid, frame: Grid, axis: int) -> Tensor:
-    """Positions of the voxels along an axis, -1 at the first and 1 at the last of the frame.
+    """Return positions of the voxels along an axis, -1 at the first and 1 at the last of the frame.
 
-    Shaped to broadcast over the image.
+    They are shaped to broadcast over the image.
     """
     n = frame.shape[axis]
     half = max((n - 1) * frame.voxel_size[axis] / 2, 1e-12)
@@ -314,6 +314,6 @@ def relative(grid: Grid, frame: Grid, axis: int) -> Tensor:
 
 
 def middle(frame: Grid) -> np.ndarray:
-    """(3,) um: the middle of the image."""
+    """Return the middle of the image, (3,) um."""
     first, last = frame.extent
     return (first + last) / 2

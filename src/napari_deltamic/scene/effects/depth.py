@@ -14,7 +14,7 @@ from .base import Axes, Bounds, Cost, DepthEffect, FaceEffect, GainEffect, middl
 
 
 class Attenuation(FaceEffect):
-    """Light is lost on its way: faces dim exponentially with depth."""
+    """Attenuation of light on its way: faces dim exponentially with depth."""
 
     name: ClassVar[str] = "attenuation"
     title: ClassVar[str] = "dimmer with depth"
@@ -37,7 +37,7 @@ class Attenuation(FaceEffect):
 
 
 class Bleaching(GainEffect):
-    """The dye fades while the stack is taken: slices dim exponentially, one after the other."""
+    """Bleaching while a stack is taken: slices dim exponentially, one after the other."""
 
     name: ClassVar[str] = "bleaching"
     title: ClassVar[str] = "bleaching during the stack"
@@ -90,18 +90,18 @@ class DepthPSF(DepthEffect):
     )
 
     def reach(self, share: float) -> float:
-        """um beyond which it brings less than ``share`` of the light anywhere."""
+        """Return the distance (um) beyond which it adds less than ``share`` of the light."""
         largest = max(abs(self.variance_z), abs(self.variance_yx))
         return sqrt(2 * largest * log(1 / max(share, 1e-12)))
 
     def depths(self, centroids: Tensor, frame: Grid) -> Tensor:
-        """(F,) relative depth: 0 in the first slice and before, 1 in the last and beyond."""
+        """Return (F,) relative depths: 0 up to the first slice, 1 from the last on."""
         first, last = frame.extent
         depth = (centroids[:, 0] - float(first[0])) / max(float(last[0] - first[0]), 1e-12)
         return depth.clamp(0, 1)
 
     def transfers(self, axes: Axes) -> tuple[Tensor, Tensor]:
-        """Factors on the OTF in the first and in the last slice."""
+        """Return factors on the OTF in the first and in the last slice."""
         z, yx = axes[0] ** 2, axes[1] ** 2 + axes[2] ** 2
         first = max(-self.variance_z, 0.0) * z + max(-self.variance_yx, 0.0) * yx
         last = max(self.variance_z, 0.0) * z + max(self.variance_yx, 0.0) * yx

@@ -11,7 +11,7 @@ from .base import Detection, DetectorEffect, VoxelEffect
 
 
 class Camera(DetectorEffect):
-    """From photons to intensities: ``variance = gain (image - offset) + read noise^2``."""
+    """A camera, with noise of ``variance = gain (image - offset) + read noise^2``."""
 
     name: ClassVar[str] = "camera"
     title: ClassVar[str] = "camera"
@@ -30,13 +30,13 @@ class Camera(DetectorEffect):
     )
 
     def variance(self, image: np.ndarray) -> np.ndarray:
-        """Variance of the intensities around this image without noise."""
+        """Return the variance of intensities whose means are this image."""
         light: np.ndarray = np.maximum(image - self.offset, 0)
         return self.gain * light + self.read_noise**2
 
     @classmethod
     def seen(cls, detection: Detection) -> Camera | None:
-        """Where voxels are full."""
+        """Return a camera if the image shows saturated voxels; else None."""
         if detection.saturation is None:
             return None
         return cls(
@@ -63,7 +63,7 @@ class Missing(VoxelEffect):
     )
 
     def missing(self, image: np.ndarray) -> np.ndarray:
-        """(Z, Y, X) bool: voxels of that value, and those in these slices."""
+        """Return (Z, Y, X) bool: voxels with the value, and those in failed slices."""
         found = super().missing(image)
         if self.value is not None:
             found |= image == self.value
@@ -75,10 +75,10 @@ class Missing(VoxelEffect):
         return "voxels lie in slices without an image"
 
     def spoil(self, image: np.ndarray) -> None:
-        """They hold the value, 0 where there is none."""
+        """Set such voxels to the value, or 0 if there is none."""
         image[self.missing(image)] = self.value or 0
 
     @classmethod
     def seen(cls, detection: Detection) -> Missing | None:
-        """Where slices failed."""
+        """Return the effect if the image shows failed slices; else None."""
         return cls(slices=detection.failed) if detection.failed else None

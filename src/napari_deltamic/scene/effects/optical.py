@@ -36,7 +36,7 @@ class PixelIntegration(TransferEffect):
 
 
 class Halo(TransferEffect):
-    """A share of the light lands far from where it should, as out-of-focus light does."""
+    """A share of the light that lands far from where it should, as out-of-focus light does."""
 
     name: ClassVar[str] = "halo"
     title: ClassVar[str] = "halo"
@@ -60,7 +60,7 @@ class Halo(TransferEffect):
 
     @classmethod
     def neutral(cls) -> Halo:
-        """No light in the halo; its derivative is that of a halo as wide as the default."""
+        """Return a halo without light, as wide as the default."""
         return cls(fraction=0.0)
 
     def transfer(self, axes: Axes, frame: Grid) -> Tensor:
@@ -72,13 +72,13 @@ class Halo(TransferEffect):
 
     @property
     def spread(self) -> float:
-        """Its light counts as far as it is spread."""
+        """The width of the halo (um), within which its light counts."""
         return self.width
 
     def hides_reach(self) -> bool:
-        """A halo is seen everywhere, and would have everything count."""
+        """True: a halo is seen everywhere, so that everything would count."""
         return True
 
     def reach(self, share: float) -> float:
-        """um beyond which it brings less than ``share`` of the light anywhere."""
+        """Return the distance (um) beyond which it adds less than ``share`` of the light."""
         return self.width * sqrt(2 * log(max(self.fraction / max(share, 1e-12), 1.0)))

@@ -17,7 +17,7 @@ from .base import Bounds, Effect, GainEffect, OffsetEffect, relative
 
 
 def _orders(order: int, axes: int) -> list[tuple[int, ...]]:
-    """Exponents of total degree 1 to ``order``; the constant is left to amplitude or background."""
+    """Return exponents of degree 1 to ``order``; constants belong to amplitude or background."""
     found = [k for k in product(range(order + 1), repeat=axes) if 1 <= sum(k) <= order]
     return sorted(found, key=lambda k: (sum(k), tuple(-n for n in k)))
 
@@ -25,7 +25,7 @@ def _orders(order: int, axes: int) -> list[tuple[int, ...]]:
 def _polynomial(
     coefficients: tuple[float, ...], orders: list[tuple[int, ...]], along: list[Tensor]
 ) -> Tensor:
-    """Sum of products of Legendre polynomials, which stay apart from each other over the image."""
+    """Sum products of Legendre polynomials, which are independent of each other over the image."""
     most = max(max(order) for order in orders)
     total = torch.zeros([most + 1] * len(along), dtype=torch.float64)
     for coefficient, order in zip(coefficients, orders, strict=True):
@@ -38,13 +38,13 @@ def _polynomial(
 
 
 def _legendre(at: Tensor, most: int) -> NDArray[np.float64]:
-    """(N, most + 1) Legendre polynomials along an axis."""
+    """Return (N, most + 1) Legendre polynomials along an axis."""
     found: NDArray[np.float64] = legendre.legvander(at.reshape(-1).numpy(), most)
     return found
 
 
 class _Polynomial(Effect):
-    """Numbers of a polynomial, filled up with zeros."""
+    """The coefficients of a polynomial, filled up with zeros."""
 
     axes: ClassVar[str] = "zyx"
 
@@ -77,7 +77,7 @@ class _Polynomial(Effect):
         return _orders(self.order, len(self.axes))
 
     def names_of(self, field: str) -> tuple[str, ...]:
-        """The axes that a term varies along: ``z``, ``yy`` for the second degree, ``yx``."""
+        """Return the axes along which terms vary: ``z``, ``yy`` (second degree), ``yx``."""
         return tuple(
             "".join(a * n for a, n in zip(self.axes, k, strict=True)) for k in self._orders()
         )
@@ -102,7 +102,7 @@ class Background(_Polynomial, OffsetEffect):
     }
 
     def offset(self, grid: Grid, frame: Grid) -> Tensor:
-        """The polynomial; -1 and 1 are its arguments at both ends of the image."""
+        """Return the polynomial, of arguments that run from -1 to 1 over the image."""
         return self._values(grid, frame)
 
     def summed(self, image: Tensor, grid: Grid, frame: Grid) -> Tensor:
@@ -116,7 +116,7 @@ class Background(_Polynomial, OffsetEffect):
 
 
 class Illumination(_Polynomial, GainEffect):
-    """Light falls unevenly on the field of view: a factor that varies along y and x."""
+    """Uneven illumination of the field of view: a factor that varies along y and x."""
 
     name: ClassVar[str] = "illumination"
     axes: ClassVar[str] = "yx"
@@ -130,5 +130,5 @@ class Illumination(_Polynomial, GainEffect):
     order: Annotated[int, Field(ge=1, le=3)] = Field(default=2, description="largest degree")
 
     def gain(self, grid: Grid, frame: Grid) -> Tensor:
-        """The exponential of the polynomial, which is positive whatever its numbers."""
+        """Return the exponential of the polynomial, which is always positive."""
         return torch.exp(self._values(grid, frame))

@@ -1,10 +1,10 @@
-"""What a scene may hold: surfaces, solids, filaments and points.
+"""The structures of a scene: surfaces, solids, filaments and points.
 
-Each gives its Fourier transform on a band, by its closed form or by the particle-mesh. What the
-latter takes, measured (48^3 to 96^3 voxels, accuracies 1e-2 to 1e-5, one core): the transform of a
-solid 3.4 to 4.4 times as long as that of its surface, together with its gradient 1.9 to 2.3 times,
-since a solid's gradient is the simpler one; filaments and points as long as a surface of as many
-quadrature points.
+Each gives its Fourier transform on a band, by its closed form or by the particle-mesh. Times of the
+latter, measured (48^3 to 96^3 voxels, accuracies 1e-2 to 1e-5, one core): the transform of a solid
+takes 3.4 to 4.4 times as long as that of its surface, together with its gradient 1.9 to 2.3 times,
+since a solid's gradient is the simpler one; filaments and points take as long as a surface with as
+many quadrature points.
 """
 
 from ...geometry.mesh import Mesh
@@ -28,5 +28,5 @@ __all__ = [
 
 
 def membranes_and_insides(mesh: Mesh, interior: float = 0.0) -> tuple[Structure, ...]:
-    """Its membranes, of density 1, and the insides of its regions where they shine."""
+    """Return the membranes of a mesh, of density 1, and its insides if ``interior`` is not 0."""
     return (Surface(mesh), Solid(mesh, interior)) if interior else (Surface(mesh),)

@@ -1,4 +1,4 @@
-"""The numbers that structures are given: checked, and as tensors."""
+"""Checks the numbers of structures and converts them to tensors."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _LARGEST_DENSITY = 1e30  # so that its products with areas and volumes are numbe
 
 
 def as_tensor(values: Any) -> Tensor:
-    """A tensor as it is; anything else as float64."""
+    """Return a tensor as it is; anything else as a float64 tensor."""
     return values if is_tensor(values) else torch.tensor(np.asarray(values, dtype=np.float64))
 
 
 def one_each(values: Values, count: int) -> Tensor:
-    """(count,) where one number is given for all."""
+    """Expand one number for all to (count,); return several as they are."""
     return torch.as_tensor(values, dtype=torch.float64).expand(count)
 
 
 def checked_positions(values: Any, name: str) -> FloatArray:
-    """(N, 3) um, finite; raises InputError."""
+    """Return positions (N, 3) um. InputError unless they are finite and of that shape."""
     try:
         found = to_numpy(values).astype(np.float64)
     except (TypeError, ValueError):
@@ -39,7 +39,7 @@ def checked_positions(values: Any, name: str) -> FloatArray:
 
 
 def check_numbers(values: Any, count: int | None, name: str, of: str) -> None:
-    """One finite number, or one for each of ``count``; raises InputError."""
+    """Raise InputError unless values are one finite number, or one for each of ``count``."""
     try:
         found = to_numpy(values).astype(np.float64)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Insides: regions of a mesh, filled."""
+"""Insides: the filled regions of a mesh."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Solid:
     Attributes
     ----------
     mesh
-        Closed regions; rendering is differentiable in the vertices where they are a tensor. Those
+        Closed regions; rendering is differentiable in the vertices if they are a tensor. Regions
         that are inside out are turned, with a RepairWarning.
     density
-        Fluorophores per um^3: one number for all regions, region number -> number (0 for those not
-        named), or (R,) in the order of ``mesh.region_ids()``.
+        Fluorophores per um^3: one number for all regions, a mapping by region number (0 for those
+        not named), or (R,) in the order of ``mesh.region_ids()``.
     """
 
     mesh: Mesh
@@ -55,7 +55,7 @@ class Solid:
                 raise InputError(f"region {region} is not closed: a solid needs closed surfaces")
 
     def densities(self) -> Tensor:
-        """(R,) fluorophores per um^3, in the order of ``mesh.region_ids()``."""
+        """Return (R,) fluorophores per um^3, in the order of ``mesh.region_ids()``."""
         ids = self.mesh.region_ids().tolist()
         if isinstance(self.density, Mapping):
             return torch.tensor([float(self.density.get(k, 0.0)) for k in ids])
@@ -63,7 +63,7 @@ class Solid:
 
     @cached_property
     def _middles(self) -> Tensor:
-        """(R, 3) um, where effects on the object take the regions to lie."""
+        """The places (R, 3) um at which effects on the object act on the regions."""
         return torch.stack([_middle(self.mesh, k) for k in self.mesh.region_ids()])
 
     def contrasts(
@@ -73,11 +73,10 @@ class Solid:
         factors: Tensor | None = None,
         device: torch.device = CPU,
     ) -> list[Tensor]:
-        """(F,) signal per um^3 behind each face minus that in front, as the effects make it.
+        """Return (F,) signal per um^3 behind each face minus that in front, with the effects.
 
-        Differentiable in ``factors`` (R,) on the densities of the regions. Two where the PSF
-        changes with depth: what is seen through that of the first slice, and through that of the
-        last.
+        Differentiable in ``factors`` (R,) on the densities of the regions. Two results if the PSF
+        changes with depth: the signal seen through the PSF of the first slice, and of the last.
         """
         there, count = device if not act_on_object(effects) else CPU, len(self.mesh.region_ids())
         if factors is not None and factors.shape != (count,):

@@ -1,4 +1,4 @@
-"""Effects that act on the object, before it is transformed: how much of each part is seen."""
+"""Effects that act on the object before its transform: how much of each part is seen."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..grid import Grid
 
 
 def act_on_object(effects: Effects) -> bool:
-    """Whether the object's transform is another with these effects."""
+    """Whether these effects change the object's transform."""
     faces = any(isinstance(effect, FaceEffect) for effect in effects.present())
     return faces or effects.depth is not None
 
@@ -21,10 +21,10 @@ def act_on_object(effects: Effects) -> bool:
 def shares(
     weights: Tensor, places: Callable[[], Tensor], frame: Grid, effects: Effects
 ) -> list[Tensor]:
-    """Weights (N,) with the effects that act on the object, each at its place (N, 3) um.
+    """Apply the effects that act on the object to weights (N,) at places (N, 3) um.
 
-    Two where the PSF changes with depth: those seen through that of the first slice, and through
-    that of the last.
+    Two results if the PSF changes with depth: the weights seen through the PSF of the first slice,
+    and through that of the last.
     """
     if not act_on_object(effects):
         return [weights]
@@ -39,5 +39,5 @@ def shares(
 
 
 def joined_boxes(seen: list[Tensor]) -> Tensor:
-    """One box, or two stacked."""
+    """Return the only box, or two boxes stacked."""
     return seen[0] if len(seen) == 1 else torch.stack(seen)

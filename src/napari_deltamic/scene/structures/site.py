@@ -1,4 +1,4 @@
-"""Where structures are transformed, and what each kind of structure has to offer for it."""
+"""Where structures are transformed, and the protocols that each kind of structure follows."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ class Site:
     Attributes
     ----------
     grid, frame
-        Of the image, and of the whole image, to which effects refer.
+        Grid of the image, and that of the whole image, to which effects refer.
     fft_shape
-        Of the periodic grid.
+        Shape of the periodic grid.
     width
-        um along Z, Y, X; of the band (see :func:`napari_deltamic.fourier.make_plan`).
+        Of the PSF, um along Z, Y, X (see :func:`napari_deltamic.fourier.make_plan`).
     aligned
         Whether the axes of the PSF are those of the grid.
     cutoff
         Where the OTF ends, for a PSF that is not Gaussian.
     transfer
-        The OTF with what effects make of it.
+        |OTF|, with blur and effects.
     stretch
-        By how much edges of a mesh may grow before its plan no longer holds.
+        Factor by which edges of a mesh may grow before its plan no longer holds.
     device
         Where structures are transformed.
     plan
-        For the triangles of meshes; by default the cheapest for the accuracy.
+        Plan for the triangles of meshes; by default the cheapest for the accuracy.
     """
 
     grid: Grid
@@ -60,7 +60,7 @@ class Site:
     plan: Plan | None = None
 
     def local(self, positions: Tensor) -> Tensor:
-        """Positions relative to the centre of the first voxel."""
+        """Return positions relative to the centre of the first voxel."""
         origin = torch.tensor(self.grid.origin, dtype=positions.dtype, device=positions.device)
         return positions - origin
 
@@ -75,11 +75,11 @@ class Planned(Protocol):
     def transform(
         self, effects: Effects, vertices: Tensor | None = None, density: Tensor | None = None
     ) -> Tensor:
-        """u_hat with the effects on the object; two boxes where the PSF changes with depth.
+        """Return u_hat with the effects on the object; two boxes if the PSF changes with depth.
 
-        Differentiable. Vertices (V, 3) um: others than those that it was planned with (near them).
-        Densities: of a surface (F,), in place of its own; of a solid (R,), segments (S,) or points
-        (P,), factors on its own.
+        Differentiable. vertices : (V, 3) um, near those of the plan; None: those. density : for a
+        surface (F,), instead of its own; for a solid (R,), segments (S,) or points (P,), factors
+        on its own.
         """
 
 
@@ -87,14 +87,14 @@ class Structure(Protocol):
     """Something that shines."""
 
     def positions(self) -> FloatArray:
-        """(N, 3) um: points whose bounds are those of the structure."""
+        """Return (N, 3) um: points whose bounds are those of the structure."""
 
     def planned(self, site: Site) -> Planned:
-        """Ready to be transformed for a site; a :class:`~..render.Renderer` asks for it."""
+        """Plan the structure for a site; called by :class:`~..render.Renderer`."""
 
 
 def mesh_plan(mesh: Mesh, site: Site, contrast: np.ndarray | None = None) -> Plan:
-    """The plan for the triangles of a mesh, or with contrasts for what they hold."""
+    """Return the plan for the triangles of a mesh, or, with contrasts, for their insides."""
     return site.plan or make_plan(
         mesh.vertices_numpy() - np.asarray(site.grid.origin),
         mesh.faces,

@@ -1,4 +1,4 @@
-"""Threads, and spots: both much thinner than the PSF."""
+"""Threads and spots, both much thinner than the PSF."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Filament:
     vertices
         (V, 3) um; rendering is differentiable in a tensor.
     segments
-        (S, 2) vertices that each joins; None: one after the other.
+        (S, 2) the vertices that each segment joins; None: all in sequence.
     density
         Fluorophores per um: one number, or (S,).
     """
@@ -45,7 +45,7 @@ class Filament:
         check_numbers(self.density, len(joined), "density", "segment")
 
     def joined(self) -> np.ndarray:
-        """(S, 2) the segments."""
+        """Return (S, 2) the segments."""
         if self.segments is None:
             return path_segments(len(self.vertices))
         return np.asarray(self.segments, np.int64)
@@ -70,7 +70,7 @@ class Points:
     places
         (P, 3) um; rendering is differentiable in a tensor.
     weight
-        Fluorophores of each: one number, or (P,).
+        Fluorophores in each spot: one number, or (P,).
     """
 
     places: np.ndarray | Tensor
@@ -95,7 +95,7 @@ class Points:
 
 @dataclass(frozen=True)
 class _PlannedLine:
-    """See ``Planned``; of segments, or of points."""
+    """Segments or points planned for a site; see ``Planned``."""
 
     plan: LinePlan
     vertices: Tensor
