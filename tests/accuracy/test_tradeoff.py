@@ -30,6 +30,14 @@ def only(ways, **wanted):
     return found
 
 
+def test_those_of_the_planner_alone():
+    """What the window shows; what it is compared with comes first."""
+    found = list(measure_ways(MESH, GRID, OPTICS, IN_USE, costs=BUILT_IN, by_hand=False))
+    assert [way.accuracy for way in found[1:]] == sorted({*PLANNED, IN_USE}, reverse=True)
+    assert found[0].reference
+    assert [way.accuracy for way in found if way.in_use] == [IN_USE]
+
+
 def test_the_exact_way_is_the_reference(ways):
     first = ways[0]
     assert first.reference

@@ -114,6 +114,7 @@ def measure_ways(
     optics: Optics,
     accuracy_in_use: float = RENDERED_ACCURACY,
     *,
+    by_hand: bool = True,
     budget: float = 10.0,
     costs: Costs | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -126,6 +127,8 @@ def measure_ways(
         The scene.
     accuracy_in_use
         The accuracy with which it is rendered; that way is marked.
+    by_hand
+        Whether ways that the planner does not choose are timed as well.
     budget
         A way that would take longer than this with its gradient, s, is listed with its expected
         time but not measured.
@@ -142,7 +145,7 @@ def measure_ways(
     check_accuracy(accuracy_in_use)
     costs = costs or known_costs()
     scene = Scene.of(mesh, optics)
-    candidates = _candidates(scene, mesh, grid, accuracy_in_use, costs)
+    candidates = _candidates(scene, mesh, grid, accuracy_in_use, costs, by_hand)
     exact = candidates[0]
     if exact.way.expected > budget:
         reference = _planned(scene, grid, _FINEST, costs, "particle-mesh")
@@ -257,18 +260,17 @@ def _candidate(
 
 
 def _candidates(
-    scene: Scene, mesh: Mesh, grid: Grid, accuracy_in_use: float, costs: Costs
+    scene: Scene, mesh: Mesh, grid: Grid, accuracy_in_use: float, costs: Costs, by_hand: bool
 ) -> list[_Candidate]:
     """All ways, the exact one first."""
-    by_hand = partial(_by_hand, scene, mesh, grid, costs=costs)
-    found = [
-        by_hand(threshold, None, single)
-        for threshold in (0.0, *reversed(THRESHOLDS))
-        for single in (False, True)
-    ]
-    found += [
-        by_hand(_RULE_THRESHOLD, degree, single) for degree in DEGREES for single in (True, False)
-    ]
+    made = partial(_by_hand, scene, mesh, grid, costs=costs)
+    found = [made(0.0, None, False)]
+    if by_hand:
+        found += [made(0.0, None, True)]
+        found += [made(t, None, single) for t in reversed(THRESHOLDS) for single in (False, True)]
+        found += [
+            made(_RULE_THRESHOLD, degree, single) for degree in DEGREES for single in (True, False)
+        ]
     asked = sorted({*PLANNED, *([accuracy_in_use] if accuracy_in_use > 0 else [])}, reverse=True)
     found += [_planned(scene, grid, accuracy, costs) for accuracy in asked]
     used = 0 if accuracy_in_use == 0 else len(found) - len(asked) + asked.index(accuracy_in_use)

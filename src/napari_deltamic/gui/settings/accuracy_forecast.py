@@ -55,9 +55,8 @@ _TIP = (
 
 _TITLES = "Measure on this scene", "Stop measuring"
 _MEASURES = (
-    "Renders this scene by every method and times each, to show what accuracy costs here. Takes "
-    "about a minute in the background, and as much of the processor as a fit. Click a line to "
-    "use that accuracy."
+    "Renders this scene at several accuracies and times each, to show what accuracy costs here. "
+    "Takes some seconds in the background. Click a line to use that accuracy."
 )
 _STALE = "these times are for another image or PSF: measure again"
 _ACCURACY = Qt.ItemDataRole.UserRole  # of a line
@@ -274,8 +273,7 @@ class TradeoffView(QWidget):
 def predicted(forecast: Forecast) -> str:
     """A forecast in words.
 
-    Before the first fit of an image it is the least: that of one which settles at once. Images of
-    nuclei took 6 to 55 times as long, simulated ones 1.6 to 4 times.
+    Before the first fit of an image it is the least: that of one which settles at once.
     """
     time = duration(forecast.seconds, whole=forecast.seconds > 2)
     return f"takes about {time}" if forecast.learned.single else f"takes {time} or more"
@@ -323,7 +321,7 @@ def _timed(scene: SceneNow, question: Question) -> Generator[None, None, str]:
 
     known = costs(measure=True)
     given = scene.mesh(), scene.grid, scene.optics, accuracy
-    for way in measure_ways(*given, budget=BUDGET, costs=known, progress=count):
+    for way in measure_ways(*given, by_hand=False, budget=BUDGET, costs=known, progress=count):
         question.found.append(way)
         yield
     return ""
