@@ -48,7 +48,7 @@ class Band:
         radius: tuple[float, float, float],
         aligned: bool = True,
     ) -> Band:
-        """Make the band inside an ellipsoid of half axes ``radius`` (rad/um), within the grid's.
+        """Make the band inside an ellipsoid of half axes ``radius`` (rad/um), cut off by the grid.
 
         Where the ellipsoid is tilted (not ``aligned``), ``radius`` are the half sides of the box
         around it, and all of the box is the band.

@@ -63,7 +63,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Costs:
-    """Seconds that each kind of work takes on a machine, with its number of threads.
+    """Seconds that each kind of work takes on a machine with one number of threads.
 
     Attributes
     ----------

@@ -114,10 +114,10 @@ def fitted(width: int, beta: float, degree: int) -> Kernel:
 
 
 def _raised(n: int) -> np.ndarray:
-    """Return (n + 4, n) powers of t, lowest first, of ``(1 - t^2)^2 T_k(t)`` for k from 0 to n - 1.
+    """Return (n + 4, n) coefficients in t of ``(1 - t^2)^2 T_k(t)``, lowest first, for k < n.
 
-    One for each Chebyshev polynomial, not for a sum of them: NumPy drops leading zeros of a sum,
-    which depend on rounding, so that lengths would differ between processors.
+    One column for each Chebyshev polynomial, not for a sum of them: NumPy drops leading zeros of a
+    sum, which depend on rounding, so that lengths would differ between processors.
     """
     bump = np.array([1.0, 0, -2, 0, 1])
     columns = np.zeros((n + 4, n))
@@ -137,7 +137,7 @@ def _in_t(powers_of_f: np.ndarray) -> np.ndarray:
 
 
 def window_transform(cycles: np.ndarray, width: int, beta: np.ndarray | float) -> np.ndarray:
-    """Window's transform over a constant: ``i_2(y) / y^2``, ``y^2 = beta^2 - (pi W k)^2``."""
+    """Window's transform up to a factor: ``i_2(y) / y^2``, ``y^2 = beta^2 - (pi W k)^2``."""
     squared = np.asarray(beta) ** 2 - (pi * width * cycles) ** 2
     y = np.sqrt(np.abs(squared))
     safe = np.maximum(y, 0.3)

@@ -172,7 +172,7 @@ def make_plan(
         |OTF| with everything that acts on it, whose aliases choose grid and kernels; by default
         that of a Gaussian of this width.
     contrast
-        (F,) by how much the inside behind each face is brighter than in front of it, on any scale,
+        (F,) by how much what is behind each face is brighter than what is in front, on any scale,
         if insides shine rather than faces. Their power falls faster, so less has to be computed.
 
     Raises

@@ -103,7 +103,7 @@ _SHAPES = np.array(
 
 @cache
 def _error_tables() -> tuple[np.ndarray, np.ndarray]:
-    """Return |F_rule - F|^2 (degree, shape, phase) and |F|^2 (shape, phase), direction means."""
+    """Return means over directions: |F_rule - F|^2 (degree, shape, phase), |F|^2 (shape, phase)."""
     u = (np.arange(24) + 0.5) / 24
     in_plane = np.sqrt(1 - u**2)  # of directions spread evenly over the sphere
     angle = 2 * np.pi * (np.arange(24) + 0.5) / 24

@@ -157,7 +157,7 @@ def _empty_flux(
     """Compute the flux (K, 3) through faces without area: it is zero, but its gradient is not.
 
     The kernel of surfaces needs length and direction of a normal, and here there is none. With
-    ``along`` (V, 3), equal at all corners of a face, only the component (K, 1) along it.
+    ``along`` (V, 3), only the component (K, 1) along it, which all corners of a face share.
     """
     is_empty = (area_vectors(vertices.detach()[faces]) == 0).all(1)
     if not bool(is_empty.any()):

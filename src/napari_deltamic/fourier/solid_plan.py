@@ -1,4 +1,4 @@
-"""What solids need beside the plan of their surface; made once, for all meshes of a fit.
+"""What solids need besides the plan of their surface; made once, for all meshes of a fit.
 
 See :mod:`napari_deltamic.fourier.solid` for the formulas.
 """

@@ -69,7 +69,7 @@ class Spreading:
 
     @property
     def rows(self) -> float:
-        """Cost of the rows of nodes that a point is spread over; wide kernels cost more a row."""
+        """Cost of the rows of nodes that a point is spread over; wide kernels cost more per row."""
         z, y, x = (k.width for k in self.kernels)
         return z * y * _lanes_cost(max(z, y, x))
 

@@ -117,7 +117,7 @@ def pull(
 
 
 def measure(corners: Tensor) -> tuple[Tensor, Tensor]:
-    """Return (E,) area, length or 1, and its gradients (E, corners, 3), zero if degenerate."""
+    """Return (E,) area, length or 1, and its gradients (E, corners, 3), 0 if there is none."""
     gradient = torch.zeros_like(corners)
     if corners.shape[1] == 1:
         return torch.ones_like(corners[:, 0, 0]), gradient

@@ -101,7 +101,7 @@ class ArchiveReader:
         return json_values(self.text(name))
 
     def _take(self, size: int) -> None:
-        """Count bytes about to be unpacked; InputError once all of them exceed the limit."""
+        """Count bytes before they are unpacked. InputError if all so far exceed the limit."""
         self._left -= size
         if self._left < 0:
             raise InputError("it would unpack to far more than it can hold")

@@ -20,7 +20,8 @@ class CellBending:
     Parameters
     ----------
     mesh
-        Only its connectivity is used; without walls between cells the energy is the surface's.
+        Only its connectivity and areas are used. Without walls between cells the energy is that of
+        its surface.
     """
 
     def __init__(self, mesh: Mesh) -> None:

@@ -40,7 +40,7 @@ _UNSEEN = "nothing of it is seen in the image"
 
 
 def channel_tables(mesh: Mesh, found: ChannelAmounts) -> tuple[Table, Table]:
-    """Return a table of walls and one of cells; empty for what the channel was said not to show."""
+    """Return a table of walls and one of cells; entries that were not asked for are empty."""
     pairs, wall = mesh.interfaces()
     areas = np.bincount(wall, mesh.areas(), len(pairs))
     of_walls: list[dict[str, Value]] = []

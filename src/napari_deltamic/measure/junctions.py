@@ -106,7 +106,7 @@ def junction_angles(
 
     Returns
     -------
-    One junction for every three regions that meet, ordered by regions.
+    One junction for every three regions that meet and whose angles can be measured, by regions.
 
     Raises
     ------

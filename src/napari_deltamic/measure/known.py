@@ -1,4 +1,4 @@
-"""What is known about a shape beside its mesh, and what follows for errors and borders."""
+"""What is known about a shape besides its mesh, and what follows for errors and borders."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..geometry.replicas import Replicas
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known about a shape beside its mesh; None or empty for what is not known.
+    """What is known about a shape besides its mesh; None or empty for what is not known.
 
     grid : of the image that it was fitted to.
     density : (F,) fluorophores per um^2 of each membrane; any common factor does not matter.
@@ -34,7 +34,11 @@ class Known:
     judgements: Mapping[int, Judgement] = field(default_factory=dict)
 
     def checked(self, mesh: Mesh) -> Known:
-        """Return itself. InputError if the densities are those of another mesh, or not finite."""
+        """Return itself.
+
+        InputError if the densities are those of another mesh or not finite, or the resolution is
+        no length.
+        """
         if self.density is not None and np.shape(self.density) != (len(mesh.faces),):
             raise InputError(
                 f"there are {np.size(self.density)} densities for {len(mesh.faces)} faces"

@@ -27,7 +27,7 @@ def known_of(
     replicas: Replicas | None = None,
     judgements: Mapping[int, Judgement] | None = None,
 ) -> Known:
-    """Collect what a state says beside its mesh: densities, resolution, border.
+    """Collect what a state says besides its mesh: densities, resolution, border.
 
     Parameters
     ----------
@@ -62,7 +62,8 @@ def replicas_at(
     Raises
     ------
     InputError
-        For a fit whose errors cannot be estimated: one with a second view.
+        If errors cannot be estimated: for a fit with a second view, or of an image that does not
+        determine the shape.
     """
     try:
         posed = posed_at(image, grid, state, settings, counted)

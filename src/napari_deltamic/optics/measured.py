@@ -193,7 +193,7 @@ def _ball(q: Tensor) -> Tensor:
 def checked_sizes(
     voxel_size: tuple[float, float, float], bead_diameter: float
 ) -> NDArray[np.float64]:
-    """Return the voxel size (3,), um. InputError if it or the diameter is wrong or no um."""
+    """Return the voxel size (3,), um. InputError if it or the diameter is wrong or not in um."""
     size = np.asarray(voxel_size, float)
     if size.shape != (3,) or not (np.isfinite(size).all() and (size > 0).all()):
         raise InputError(f"voxel size must be three positive numbers (um), not {voxel_size}")
@@ -284,7 +284,7 @@ def _cropped(smooth: NDArray[np.float64], peak: tuple, half: list[int], noise: f
 
 
 def _centroid(held: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return the centroid of the bright core, above half of the peak, smoothly weighted."""
+    """Return the centroid of the bright core, above 0.4 of the peak, smoothly weighted."""
     smooth = gaussian_filter(held, 0.7)
     weight = (smooth - 0.4 * smooth.max()).clip(0)
     grid = np.indices(held.shape)

@@ -54,8 +54,8 @@ def microscope(
     immersion
         ``"air"``, ``"water"``, ``"silicone"``, ``"glycerol"``, ``"oil"``, or a refractive index.
     excitation
-        Wavelength of the excitation, um, for a confocal or a spinning disk; by default 0.93 of the
-        emission.
+        Wavelength of the excitation, um, for a confocal or a spinning disk; by default 0.93
+        times that of the emission.
     pinhole
         Diameter in Airy units.
     sheet

@@ -100,7 +100,10 @@ class ObjectivePSF(RadialPSF):
         return self._values["na"]
 
     def _path(self, s: Tensor, weight: Tensor) -> Tensor | None:
-        """Return the excess path (um) of rays over those in focus; None if there is none."""
+        """Return the excess path (um) of rays over those in focus; None if there is none.
+
+        The focus depends on the weight of each ray.
+        """
         return None
 
     def _widest_path(self, s: Tensor, weight: Tensor) -> Tensor | None:
@@ -266,7 +269,7 @@ class GibsonLanniPSF(ObjectivePSF):
 
     S. F. Gibson and F. Lanni, "Experimental test of an analytical model of aberration in an
     oil-immersion objective lens used in three-dimensional light microscopy", J. Opt. Soc. Am. A 8,
-    1991. Light passes the sample above the structure, the coverslip and the immersion; differences
+    1991. Light passes the sample up to the coverslip, the coverslip and the immersion; differences
     from the design cause the aberration. The part of it that shifts the focus is removed, as it
     would move what is measured.
 

@@ -145,7 +145,7 @@ class TablePSF(ParametricPSF):
         return other
 
     def _needed(self) -> tuple[float, float, float]:
-        """Return the bandwidth of the windowed intensity, without weak side lobes, rad/um."""
+        """Return the bandwidth (rad/um, Z Y X) of the windowed intensity without weak lobes."""
         widths = (self._flat[0], self._flat[1], self._flat[1])
         z, y, x = (k + _LEAK / w for k, w in zip(self._bandwidth(), widths, strict=True))
         return z, y, x

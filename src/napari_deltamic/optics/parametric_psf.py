@@ -100,9 +100,10 @@ class ParametricPSF:
         return p - reach, p + reach
 
     def sharpened(self, factor: float) -> Self:
-        """Return the sharpest PSF before a band is planned anew: widths are times ``factor``.
+        """Return the sharpest PSF that a fit may reach before the band is planned anew.
 
-        Phases come closer to 0 by the logarithm of it, as far as one step may move them.
+        Its widths are multiplied by ``factor``. Phases come closer to 0 by the size of its
+        logarithm, which is as far as one step may move them.
         """
         values = dict(self._values)
         for name in self._fitted:

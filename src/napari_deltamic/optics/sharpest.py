@@ -1,4 +1,4 @@
-"""Two PSFs as one, if a rendering is planned for both."""
+"""Two PSFs as one, for renderings that are planned for both."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ def judged_track(
 def _graded(
     states: Iterable[TrackState], images: Sequence[Any] | Any, job: FitInput, before: Mesh
 ) -> Iterator[TrackState]:
-    """The same states; a frame that is done has its grade."""
+    """Yield the same states; each frame that is done has its grade."""
     for state in states:
         last = state.last_fit
         if state.done is None or last is None:

@@ -76,7 +76,7 @@ def write_results(
     history : every state of the fit.
     seconds : s; how long the fit took.
     warnings : remarks that a reader of the report should see.
-    further : sections of the report beside those that every fit has.
+    further : sections of the report besides those that every fit has.
     explained : by region, the share of the variation around it that the fit explains.
     verdict : how good the shapes are, for the report and the table of cells.
     table : the text of ``measurements.csv``; None: all columns that can be measured here.

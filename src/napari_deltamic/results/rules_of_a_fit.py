@@ -1,4 +1,4 @@
-"""The numbers that decided in a fit beside the settings of its run; kept with each result.
+"""The numbers that decided in a fit besides the settings of its run; kept with each result.
 
 Such numbers are in *rules*: frozen dataclasses whose docstrings give the unit and the source of
 each number. Unlike settings, rules cannot be changed by a caller, but they may differ between

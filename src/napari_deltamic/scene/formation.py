@@ -83,8 +83,9 @@ class Formation:
     def image(
         self, transform: Tensor, otf: Tensor, band: Band, known: Tensor | None = None
     ) -> Tensor:
-        """Return the image (Z, Y, X): fluorophores seen in each voxel, which sum to the total.
+        """Return the image (Z, Y, X): fluorophores seen in each voxel.
 
+        Its sum over all space is their total number.
         known : the image, if only its gradients are wanted; used only if :attr:`is_plain`.
         """
         if self.effects.depth is None:

@@ -221,8 +221,9 @@ class Renderer:
         return self._held_axes
 
     def image(self, transform: Tensor, otf: Tensor, known: Tensor | None = None) -> Tensor:
-        """Return the image (Z, Y, X): fluorophores seen in each voxel, which sum to the total.
+        """Return the image (Z, Y, X): fluorophores seen in each voxel.
 
+        Its sum over all space is their total number.
         known : the image, if it was made before and only its gradients are wanted.
         """
         return self._formation.image(transform, otf, self.band, known)

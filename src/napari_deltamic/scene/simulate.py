@@ -148,7 +148,7 @@ def simulate(
 
 
 def true_mesh(scene: Scene) -> Mesh | None:
-    """Merge the meshes of surfaces and solids; a mesh of both counts once."""
+    """Merge the meshes of surfaces and solids; one that both share counts once."""
     meshes: list[Mesh] = []
     for structure in scene.structures:
         if isinstance(structure, (Surface, Solid)) and all(

@@ -54,9 +54,9 @@ class BetweenFrames:
         Of each cell: volume and centre, last volumes, largest volume so far (um^3), velocity (um a
         frame).
     next_cell
-        The smallest number that no cell has had.
+        A number above those of all cells so far.
     first
-        The first frame to be tracked.
+        The first frame that is still to be tracked.
     done
         Good frames of an earlier run, the last ones.
     """

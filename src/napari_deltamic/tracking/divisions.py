@@ -201,7 +201,7 @@ def _all_around(
 
 
 def _half_sphere(n: int) -> FloatArray:
-    """Return (n, 3) unit vectors evenly over half a sphere (a spherical Fibonacci lattice)."""
+    """Return (n, 3) unit vectors spread evenly over half a sphere (spherical Fibonacci lattice)."""
     k = np.arange(n) + 0.5
     z = 1 - k / n
     angle = pi * (1 + sqrt(5)) * k

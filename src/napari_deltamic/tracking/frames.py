@@ -36,7 +36,7 @@ def numbered(images: Any, first: int = 0) -> Iterator[tuple[int, NDArray[Any] | 
 
 
 def check_series(images: Any) -> None:
-    """InputError if images are not a series of 3D images, as far as known before reading."""
+    """Raise InputError unless images are a series of 3D images, as far as known before reading."""
     shape = getattr(images, "shape", None)
     if shape is not None and len(shape) != 4:
         kind = "a single 3D image: fit it instead" if len(shape) == 3 else f"shape {tuple(shape)}"

@@ -159,7 +159,7 @@ def _local(
     shift: FloatArray,
     reach: NDArray[np.int64],
 ) -> FloatArray:
-    """Return (3,) voxels by which a cell has moved beside the shift of all."""
+    """Return (3,) voxels by which a cell has moved besides the shift of all."""
     if not own.any():
         return np.zeros(3)
     places = np.argwhere(own)

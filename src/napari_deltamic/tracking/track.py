@@ -63,7 +63,7 @@ def track(
     mesh
         Seeds in the first frame that is tracked, um.
     optics
-        The PSF; where it is fitted, each frame starts from that of the last.
+        The PSF; if it is fitted, later frames start from that of the first good one.
     settings
         Of the fit of each frame. The levels are those of the first frame; those of later frames
         follow from how far the cells have moved.

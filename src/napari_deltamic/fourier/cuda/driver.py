@@ -30,7 +30,7 @@ def driver_version() -> tuple[int, int] | None:
 
 
 def torch_for(driver: tuple[int, int]) -> str:
-    """Return the command that installs a torch which a driver can run."""
+    """Return the command that installs torch for a driver, or the advice to update the driver."""
     for needed, wheels in _WHEELS:
         if driver >= needed:
             return f"pip install -U torch --index-url https://download.pytorch.org/whl/{wheels}"

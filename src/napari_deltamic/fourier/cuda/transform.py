@@ -37,7 +37,7 @@ def band_forward(
     rows: Tensor,
     spacing: Sequence[float],
 ) -> Tensor:
-    """Compute ``deltamic::band_ft`` with the kernels; same arguments, (K,) complex result."""
+    """Compute ``deltamic::band_ft`` in the kernels' precision; returns (K,) complex."""
     layout = layout_of(rows, vertices.device, kernels.build.width)
     mesh = _Mesh(vertices, faces, density)
     if not mesh.count or not layout.wavevectors:
@@ -106,7 +106,7 @@ def band_backward(
 def list_forward(
     kernels: Kernels, vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor
 ) -> Tensor:
-    """Compute ``deltamic::mesh_ft`` with the kernels; same arguments, (K,) complex result."""
+    """Compute ``deltamic::mesh_ft`` in the kernels' precision; returns (K,) complex."""
     mesh = _Mesh(vertices, faces, density)
     xi = wavevectors.to(torch.float64).contiguous()
     if not mesh.count or not len(xi):

@@ -52,7 +52,7 @@ def _between(one: Labels, other: Labels, count: int, size: FloatArray) -> Labels
 
 
 def _depth(mask: NDArray[np.bool_], size: FloatArray) -> FloatArray:
-    """Return distances to the outline, um: positive inside, negative outside; the image ends it."""
+    """Return distances to the outline, um: positive inside; beyond the image is outside."""
     wider = np.pad(mask, 1)
     inside, outside = (distance_transform_edt(m, sampling=size) for m in (wider, ~wider))
     return np.asarray(inside - outside)[1:-1, 1:-1]

@@ -191,7 +191,7 @@ def _by_threshold(
 def _without_clumps(
     found: NDArray[np.int32], seen: Smoothed, size: float | None
 ) -> NDArray[np.int32]:
-    """Replace clumps: smaller cells that explain the image better, cells parted at dark walls."""
+    """Replace clumps by smaller cells that explain the image better, or that dark walls part."""
     blobs = np.where(seen.known, crowded_cells(seen.data, seen.voxel, size), 0)
     if not blobs.any():
         return found

@@ -133,7 +133,7 @@ def _crossings(
 
 
 def _twice(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
-    """Return signed double areas of flat triangles, (n, 2) each corner."""
+    """Return signed double areas of flat triangles, from their corners, (n, 2) each."""
     left, right = q - p, r - p
     area: FloatArray = left[:, 0] * right[:, 1] - left[:, 1] * right[:, 0]
     return area

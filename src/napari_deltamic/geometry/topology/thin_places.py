@@ -28,8 +28,8 @@ class ThinPlace:
         The thin region, 0 for a gap between cells or a hole through one; the two of a small wall;
         the three of a short junction.
     sides
-        The regions on both sides, the smaller number first; only one for a neck or a hole; those at
-        the two ends of a short junction.
+        The regions around it, smaller numbers first; only one for a neck or a hole; those at the
+        two ends of a short junction.
     points
         (n, 3) um: midway between the sides.
     width
@@ -166,7 +166,7 @@ def short_junctions(mesh: Mesh, length: float) -> list[ThinPlace]:
 
 
 def _pieces_of(faces: IntArray, points: FloatArray, apart: float) -> IntArray:
-    """Return the piece of each face; faces of one share a vertex or have corners near others."""
+    """Return the piece of each face: its faces share vertices or have corners near each other."""
     links = np.concatenate([faces[:, :2], faces[:, 1:]])
     if apart > 0:
         links = np.concatenate([links, cKDTree(points).query_pairs(apart, output_type="ndarray")])

@@ -200,7 +200,7 @@ class TransferEffect(Effect):
     where: ClassVar[Where] = "fourier"
 
     def transfer(self, axes: Axes, frame: Grid) -> Tensor:
-        """Return a factor on the OTF at wavevector components (rad/um) that span a box."""
+        """Return a factor on the OTF at wavevector components that broadcast over a box, rad/um."""
         raise NotImplementedError
 
     @property
@@ -254,7 +254,7 @@ class Detection:
 
 
 class VoxelEffect(Effect):
-    """An effect on the likelihood: which voxels tell nothing, or how noisy the others are."""
+    """An effect on the likelihood alone: which voxels tell nothing, how noisy the others are."""
 
     where: ClassVar[Where] = "likelihood"
     fit: bool = Field(default=False, description="nothing of it is fitted with the shape")
