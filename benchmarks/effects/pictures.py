@@ -44,7 +44,7 @@ def effects_picture(path: Path) -> None:
         last = below.imshow(added, cmap="RdBu_r", vmin=-_MOST, vmax=_MOST, **shown)
     for axis in axes.flat:
         axis.set_axis_off()
-    figure.colorbar(last, ax=axes[1], label="photons added", shrink=0.9, pad=0.01)
+    figure.colorbar(last, ax=axes, label="photons added (below)", shrink=0.9, pad=0.01)
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
 
