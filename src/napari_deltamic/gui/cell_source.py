@@ -94,7 +94,7 @@ def at_time(layer: Any, data: NDArray[Any], point: tuple[float, ...]) -> NDArray
 
 
 def without_place(layer: Any, point: tuple[float, ...] = ()) -> str:
-    """Numbers of the points at the time shown that have a NaN coordinate; '' for none."""
+    """Numbers of points, at the time shown, with a coordinate that is not finite; '' for none."""
     data = np.asarray(layer.data, float)
     rows = np.flatnonzero(at_time(layer, data, point) & ~np.isfinite(data[:, -3:]).all(axis=1))
     return ", ".join(str(row + 1) for row in rows[:6].tolist())
@@ -320,7 +320,7 @@ class CellSource(LayerTicks):
         return beside_region("point", layer.name, len(points), beyond)
 
     def _placeless(self) -> list[Remark]:
-        """Remarks on points with NaN coordinates, without which their layers could be used."""
+        """Remarks on points without a position; their layers are of no use until these are gone."""
         layers, point = self.points_layers(), self._point()
         found = [(layer.name, without_place(layer, point)) for layer in layers]
         text = "Point {} of '{}' has no position: delete it"

@@ -282,7 +282,7 @@ def why_of(row: Mapping[str, Any]) -> str:
 
 
 def _notes(row: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Notes on a cell, and on its empty columns; neither are reasons for a grade."""
+    """Notes on a cell, and those on its empty columns, which are no reasons for a grade."""
     parts = [part for part in for_window(str(row.get("note") or "")).split("; ") if part]
     empty = [part for part in parts if part.startswith(_EMPTY)]
     return [part for part in parts if part not in empty], empty

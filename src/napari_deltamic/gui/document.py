@@ -123,7 +123,7 @@ class Document:
 
     @property
     def link(self) -> ViewerLink | None:
-        """The link that shows the record in the viewer, if there is one."""
+        """The link that shows the record in the viewer; None without a record."""
         record = self.record
         return None if record is None else record.link
 
@@ -169,7 +169,7 @@ class Document:
         return "" if frame.has_place_of(layer) else "place"
 
     def result_of_image(self) -> tuple[Record, Present] | None:
-        """The result for the chosen image, or the newest state of its running fit; None without."""
+        """The result of the chosen image, or the newest state of its fit; None if it has none."""
         record = self.records.get(self.image.layer)
         if record is None:
             return None
@@ -180,7 +180,7 @@ class Document:
         return None if present is None else (record, present)
 
     def present(self) -> Present | None:
-        """What can be changed: the newest state of the fit, or its result; None without."""
+        """What can be changed: the newest state of the fit, or its result; None for nothing."""
         run = self.run
         if self.running:
             reached, job = run.reached, run.job
@@ -201,7 +201,7 @@ class Document:
         return RunSettings(image=path, channel=channel, seeds=seeds, scene=scene, fit=fit)
 
     def prepared(self) -> tuple[Callable[[], FitInput], Frame]:
-        """A function that puts the chosen fit together, in a thread, and the frame of its image."""
+        """A function that puts the chosen fit together, to run in a thread; and the fit's frame."""
         image, frame = self.image, self.image.frame()
         seeds = self.cells.seeds(frame)
         settings = self.run_settings(seeds.path)
@@ -234,7 +234,7 @@ class Document:
         return record
 
     def mend_link(self, record: Record) -> None:
-        """Show a record in new layers if the user has removed one of the old ones."""
+        """Show a record in new layers if the user has removed one: those left are of no use."""
         link = record.link
         if not link.whole:
             link.remove()
@@ -252,7 +252,7 @@ class Document:
         self.said.emit("preparing the seeds ..." if fresh else "starting ...")
 
     def begin(self, record: Record) -> None:
-        """Take up the first state of a run; only now the earlier result is given up."""
+        """Note that a run has its first state; only now what was there before is given up."""
         if not self.begun:
             self.begun = True
             record.begin(self._fresh)
@@ -332,7 +332,7 @@ class Document:
         attempt(action, self.refuse)
 
     def attempt(self, action: Callable[[], None], checked: bool = False) -> None:
-        """The same for actions that do not concern the fit shown, such as on files."""
+        """The same for actions that do not concern the fit shown, such as those on files."""
         attempt(action, self.warned.emit)
 
     def refuse(self, reason: str) -> None:
@@ -398,7 +398,7 @@ class Document:
                     getattr(signals, name).disconnect()
 
     def _place_link(self, record: Record) -> None:
-        """Place what is shown of a record where, and at the time at which, its last fit started."""
+        """Place what is shown of a record where its last fit was started, and at that time."""
         frame, time, record.pixels = self._place
         if record.link.frame != frame:
             # What it showed lies elsewhere now; cells of another fit start there, perhaps.

@@ -176,7 +176,7 @@ class FitChoice:
         self.changed.emit(False)
 
     def _guess_sigma(self) -> None:
-        """Adapt a PSF that was not given by the user to another image, or voxel size."""
+        """Adapt a PSF that nobody gave for this image to the image, or its voxel size."""
         layer = self._image.layer
         if self._came_with is not None and self._came_with() is not layer:
             self._came_with, self._sigma_given, self.psf = None, False, None

@@ -216,7 +216,7 @@ class ImageSource(LayerChoice):
             self.looked.emit()  # why it stayed holds no more
 
     def _box_of(self, layer: Any) -> Box:
-        """The box of the rectangle that is selected or was drawn last, over all slices."""
+        """The box of the rectangle selected, or else drawn last, over all slices across it."""
         chosen = sorted(layer.selected_data) or [len(layer.data) - 1]
         corners = np.concatenate([np.asarray(layer.data[k], float) for k in chosen])
         dims = len(layer.scale)
@@ -320,7 +320,7 @@ class ImageSource(LayerChoice):
             other.scale = (*other.scale[:-3], *(other.scale[-3:] * ratio))
 
     def _goes_along(self, other: Any) -> bool:
-        """Whether a layer of the user belongs to the image's voxels, as labels or points do."""
+        """Whether a layer of the user is on the image's voxels: clicked there, or lying like it."""
         layer = self.layer
         if other is layer or other.ndim < 3 or made_by_fit(other):
             return False
@@ -369,7 +369,7 @@ class SecondSource(LayerChoice):
         return None if self.layer is None else self._image.stack(self.layer)
 
     def show(self, layer: Any, sigma: Triple | None = None) -> None:
-        """Show a choice, which does not count as an edit; None for no second view."""
+        """Show a layer as chosen, which does not count as an edit; None for no second view."""
         self._quiet = True
         if sigma is not None:
             self.sigma, self._given = sigma, True

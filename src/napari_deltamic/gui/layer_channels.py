@@ -24,7 +24,7 @@ Choice = tuple[int, int, int, str]
 
 
 def channel_axes(layer: Any) -> tuple[int, ...]:
-    """Axes of an image layer that may hold channels: by its file, else by its shape."""
+    """Axes of an image layer that may hold channels: by its file, else by names and lengths."""
     if not isinstance(layer, Image) or layer.rgb or layer.ndim < 4 or made_by_fit(layer):
         return ()
     stored = channels_of_file(layer)
@@ -74,7 +74,7 @@ def channel_layer(layer: Any, choice: Choice) -> Image:
 
 
 def is_one_channel(layer: Any) -> bool:
-    """Whether a layer can be fitted: a stack or series that has one channel by its file."""
+    """Whether a layer can be fitted: a stack or series of which its file tells no channels."""
     return is_stack(layer) and channels_of_file(layer) is None
 
 

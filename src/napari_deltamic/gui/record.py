@@ -26,7 +26,7 @@ _KEPT = 5  # results that undo may lead back to; chosen: each holds images
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The end of a fit, see ``Record``."""
+    """A result: what a fit ended with, or what was made of that by hand."""
 
     state: FitState
     job: FitInput
@@ -88,7 +88,7 @@ class Record:
         return self.reached.state, self.reached.job
 
     def begin(self, fresh: bool) -> None:
-        """A fit has begun; fresh : whether from new seeds, rather than from the result."""
+        """A fit has begun; fresh : from seeds, not from a state of the last fit."""
         self.words, self.judged = ("", ""), None
         if fresh:
             self.timeline = Timeline()

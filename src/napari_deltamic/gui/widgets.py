@@ -212,7 +212,7 @@ def filled(layout: Any, *parts: Any) -> Any:
 
 
 def row(*parts: Any, of: QWidget | None = None, spacing: int | None = None) -> QHBoxLayout:
-    """A layout side by side without a margin; of : widget whose whole content it becomes."""
+    """A layout of parts side by side, without a margin; of : widget whose content it becomes."""
     return _bare(QHBoxLayout(of), parts, spacing)
 
 
@@ -289,7 +289,7 @@ class Note(QLabel):
             self.setVisible(bool(shown))
 
     def changeEvent(self, event: QtCore.QEvent | None) -> None:
-        """Called by Qt: the theme may have changed."""
+        """Called by Qt: renews the colour, as the theme may have changed."""
         super().changeEvent(event)
         if event is not None and event.type() == QtCore.QEvent.Type.StyleChange:
             self._colour()

@@ -81,7 +81,7 @@ class Task:
         """Show what there is."""
 
     def end(self, outcome: Any) -> None:
-        """Take the outcome: what ``steps`` returned, or None if it was stopped."""
+        """Take the outcome: that of ``steps``, or of ``failed``; None if it was stopped."""
 
     def stop(self) -> None:
         """Stop it where it next yields."""
@@ -270,7 +270,7 @@ def _nobody(*news: Any) -> None:
 
 
 def rest_after(drawing: float) -> float:
-    """Pause (s) for a viewer that took ``drawing`` (s) to draw."""
+    """The pause (s) that a viewer is given that took ``drawing`` (s) to draw."""
     # Ten updates a second come first, as long as the task gets a quarter of the cores.
     return min(2 * drawing, max(0.1 - drawing, 0.3 * drawing), LONGEST_REST)
 
@@ -330,7 +330,7 @@ class Background(QObject):
     def soon(self, ask: Callable[[], None], wait: int) -> None:
         """Call ``ask`` on the main thread, unless this is called again within ``wait`` ms.
 
-        It comes in the place of what is awaited.
+        It replaces what is awaited.
         """
         if self._on_error is not None:
             self.drop()

@@ -152,7 +152,7 @@ def _layers(session: Session) -> tuple[Any, list[Any], Any]:
 
 
 def _result(doc: Document, frame: Frame) -> tuple[tuple[SavedResult, FitInput] | None, str]:
-    """The newest result for the chosen image, if any, with its job, and what is left out."""
+    """The newest state of the chosen image's fit, with its job; or None, and what is left out."""
     run, found = doc.run, doc.result_of_image()
     if found is None:
         others = [other for other in doc.records.values() if other.state is not None]

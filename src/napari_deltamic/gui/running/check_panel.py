@@ -255,7 +255,7 @@ class CheckPanel(QGroupBox):
         )
 
     def _show_verdict(self, verdict: str, text: str) -> None:
-        """Show how the fit ended, the first line of a text, and the further lines as remarks."""
+        """Show how the fit ended, in the first line of a text, and its other lines as remarks."""
         said, *remarks = text.split("\n")
         self.verdict.say(said, verdict)
         self.remarks.set_title(counted(len(remarks), "remark"))
@@ -285,7 +285,7 @@ class CheckPanel(QGroupBox):
         self.stray.say(f"{n} {places} no cell" if n else "")
 
     def _show_end(self) -> None:
-        """Show the grade if it belongs to what is shown."""
+        """Show the grade anew: its text says so if an earlier moment is shown."""
         doc = self._doc
         if not doc.running:
             self._show_grade(doc.record if doc.in_sight and not doc.other else None)

@@ -274,7 +274,7 @@ def _check(change: Change, present: Present) -> None:
 
 
 def _suited(values: Any, of: Mesh | None, mesh: Mesh) -> Any:
-    """Values for the vertices of a mesh, from those for another one. InputError if for neither."""
+    """Values for a mesh's vertices, from those for another one. InputError if they suit neither."""
     values = values if of is None else carried(values, of, mesh)
     if len(values) != len(mesh.vertices):
         raise InputError("there is another mesh now: try again")

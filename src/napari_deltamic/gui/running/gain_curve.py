@@ -14,7 +14,7 @@ from qtpy.QtWidgets import QSizePolicy, QWidget
 from ...results.timeline import explained
 from ..widgets import is_dark
 
-_MOST_POINTS = 400  # points drawn
+_MOST_POINTS = 400  # of each line fewer than twice as many are drawn
 _OVER_CURVE = 18  # px above the plot
 _CAPTION, _TOO_FEW = "what the fit has gained, by iteration", "one iteration so far"
 _HARDLY = 2.0  # per cent: who gains less is drawn no larger
@@ -130,6 +130,6 @@ def _gained(loss: Sequence[float], changed: Sequence[bool]) -> list[float]:
 
 
 def _spread(n: int) -> list[int]:
-    """Indices of the points to draw, at most as many as can be told apart, with first and last."""
+    """Indices of even points to draw, fewer than twice ``_MOST_POINTS``, with both ends."""
     chosen = [*range(0, n, max(1, n // _MOST_POINTS))]
     return chosen if not n or chosen[-1] == n - 1 else [*chosen, n - 1]

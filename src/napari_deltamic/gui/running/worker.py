@@ -258,7 +258,7 @@ class FitRun(Task):
         return change
 
     def _forecast_anew(self, job: FitInput) -> None:
-        """Forecast what is left of the fit after a change of settings."""
+        """Forecast what is left of the fit after a change of settings, with the new ones."""
         found = self._forecaster(job)
         if isinstance(found, Forecast):
             self.forecast = RenewedForecast(found, len(self.history.level), self.seconds)

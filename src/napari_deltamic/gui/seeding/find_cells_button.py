@@ -201,7 +201,7 @@ class FindCells(QPushButton):
             self._tell("")
 
     def edited(self, event: Any = None) -> None:
-        """Labels were edited: renew colours and the count of cells."""
+        """Labels were edited: count cells again, and renew colours, as other cells may touch."""
         found = self._in_use
         if found is not None and found.layer in self._viewer.layers:
             labels = found.layer.data

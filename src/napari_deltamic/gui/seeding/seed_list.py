@@ -86,7 +86,7 @@ class Remarks(Note):
         self.linkActivated.connect(self.show_points)
 
     def show_remarks(self, remarks: list[Remark], busy: str = "") -> None:
-        """Show the first of these remarks; without any, what is under way."""
+        """Show the first of these remarks, and below them what is under way, if anything."""
         self.remarks = list(remarks)
         lines = []
         for index, remark in enumerate(remarks[:_REMARKS]):

@@ -335,7 +335,7 @@ class SeedsPanel(QGroupBox):
                 self._doc.warned.emit(remark)
 
     def _drawn_radius(self) -> float:
-        """Radius to draw points with, um; small unless for spheres, but over several slices."""
+        """Radius to draw points with, um: that of spheres, or a small one over several slices."""
         return float(self.radius.value()) * (1.0 if self.cells.spheres else 0.25)
 
     # ------------------------------------------------------------------------ notes and remarks

@@ -302,7 +302,7 @@ def scene_now(doc: Document) -> SceneNow:
 
 
 def _known_surfaces(doc: Document, points: int) -> Mesh | None:
-    """The surfaces of a preview, else those of a running or finished fit of this image."""
+    """The surfaces of a preview, else those of this image's fit, if of as many cells; else None."""
     if doc.cells.preview_mesh is not None:
         return doc.cells.preview_mesh
     present, link = doc.present(), doc.link

@@ -342,7 +342,7 @@ class PsfPicture(QLabel):
         self._look_soon()
 
     def clear(self) -> None:
-        """Show nothing, as there is no PSF."""
+        """Show nothing, as there is no PSF that can be shown."""
         self._wanted = None
         self._background.drop()
         self._drop("")

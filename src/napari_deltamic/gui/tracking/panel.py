@@ -104,7 +104,7 @@ class TrackPanel(QGroupBox):
             self._launch(work.prepare, work.images, work.frames, self.results)
 
     def go_to_worst(self) -> None:
-        """Go to the frame with the least certain surfaces, and to where they still move."""
+        """Go to the frame with the least certain surfaces, and if they still move, to where."""
         worst, layers = worst_of(self.results), self.layers
         if worst is None or layers is None:
             return
@@ -160,7 +160,7 @@ class TrackPanel(QGroupBox):
         self._kept = tuple(results) or self._kept
 
     def _unsaved(self) -> str:
-        """A text on what closing the window would lose; '' for nothing, or if the run tells."""
+        """What closing the window would lose, in words; '' for nothing, or if a run tells it."""
         known = {id(result) for result in self._kept}
         if isinstance(self._doc.work.task, TrackWork) or all(id(r) in known for r in self.results):
             return ""
@@ -352,7 +352,7 @@ class TrackPanel(QGroupBox):
 
 
 def worst_of(results: Sequence[FrameResult]) -> FrameResult | None:
-    """The frame with the least certain surfaces; None if all rest and are good, or not judged."""
+    """The frame with the least certain surfaces; None if all rest, and are good or not judged."""
 
     def doubt(result: FrameResult) -> tuple[int, bool]:
         grade = GRADES.index(result.grade) if result.grade in GRADES else 0

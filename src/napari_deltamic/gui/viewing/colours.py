@@ -35,7 +35,7 @@ def _dimmed(colours: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _with_ghosts() -> Colormap:
-    """The colours of ``BY_VALUE``, dimmed ones for cells not chosen, and greys for no number."""
+    """The colours of ``BY_VALUE``, dimmed ones for cells not chosen, and greys for NaN."""
     bright, grey = np.asarray(BY_VALUE.colors, float), np.full((1, 4), _GREY)
     ghosts, grey[0, 3] = _dimmed(bright), 1.0
     pale = grey.copy()
@@ -56,7 +56,7 @@ _OF_NUMBERS = _with_ghosts()
 
 @dataclass(frozen=True)
 class ByValue:
-    """Colours of cells by a number of each, instead of a colour of its own for each.
+    """Colours cells by a number of each, instead of giving each a colour of its own.
 
     values : region -> number; those without one are grey.
     """

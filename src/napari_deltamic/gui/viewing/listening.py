@@ -1,4 +1,4 @@
-"""Listening to a viewer and its mouse, and stopping again; what counts as a click, and for whom."""
+"""Listening to a viewer and its mouse, and stopping again; what a click is, and who wants it."""
 
 from __future__ import annotations
 

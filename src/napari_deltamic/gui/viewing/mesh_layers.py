@@ -197,7 +197,7 @@ class MeshLayers:
         layers.selection = selected or {layer}
 
     def _colour(self, mesh: Mesh, *, passing: bool) -> None:
-        """Choose colours anew if regions may have other neighbours; not for passing meshes."""
+        """Choose colours anew, unless a passing mesh has the triangles that they are chosen for."""
         if passing and self._colours_of is not None and _same(self._colours_of, mesh):
             return
         self._colours_of, found = mesh, colour_indices(mesh)
@@ -205,7 +205,7 @@ class MeshLayers:
             self.contours.colours, self._values = found, None
 
     def _dress(self, *, anew: bool = False) -> None:
-        """Give the surface the colormap that its values need; anew : even if it had another one."""
+        """Give the surface the colormap for its values; anew : also that of regions."""
         by, layer = self.contours.by, self.surface
         if layer is None or not self.has(layer) or (by is None and not anew):
             return
