@@ -1,4 +1,4 @@
-"""Measures the costs of this machine: a few small renderings, in less than a second."""
+"""Measures the costs of this machine by a few small renderings, in about a second."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ class _Trial:
 def calibrate() -> Costs:
     """Time the parts of a rendering and a fit; the fastest of several short runs counts.
 
-    Takes about a second. What else the machine is doing shows in the pace of fits, and is learned
-    from them.
+    Takes about a second, and about two the first time in a process (measured: 0.8 to 0.9 and
+    2.2 s). What else the machine is doing shows in the pace of fits, and is learned from them.
     """
     start = time.perf_counter()
     trials = {single: _trials(single) for single in (True, False)}

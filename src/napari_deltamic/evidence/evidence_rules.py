@@ -17,18 +17,19 @@ class RefitRules:
     Attributes
     ----------
     most_steps
-        Of a fit: one has gone before, so that it is near its end. Chosen: most end after five.
+        Most steps of a fit: another one has gone before, so that it starts near its end. Chosen:
+        most end after five.
     enough
-        Nats: steps that gain less are the last. By definition one standard deviation, where the
-        threshold of a score is 3.5.
+        Least gain, nats: a step that gains less is the last. By definition one standard deviation,
+        where the threshold of a score is 3.5.
     same
-        Columns of the surface hold while it moves by so many widths of the PSF at most, and the
-        image changes by such a share of itself. Chosen: columns then change as little.
+        Largest move of the surface, widths of the PSF, and largest change of the image, as a share
+        of it, for which the columns of the surface still hold. Chosen: they then change as little.
     prior
-        Widths of the PSF: standard deviation of what a mode may be, so that modes that no voxel
-        sees stay where they are.
+        Prior standard deviation of a mode, widths of the PSF, so that modes that no voxel sees stay
+        where they are.
     prior_density
-        The same of a logarithm of the density: a factor of e, since less would be evidence.
+        The same for the logarithm of the density: a factor of e, since less would be evidence.
     """
 
     most_steps: int = 12
@@ -45,13 +46,13 @@ class ModeRules:
     Attributes
     ----------
     per_region, many
-        Pairs: for up to so many regions, this many modes of each; and the modes of each for more
-        regions. Few do, because what effects and shape share is smooth, and each mode costs a
-        derivative of the image. On a sphere 25 are the harmonics up to degree 4.
+        Pairs of numbers: up to so many regions have this many modes each; and the modes of each of
+        more regions. A few are enough, because what effects and shape share is smooth, and each
+        mode costs a derivative of the image. On a sphere 25 are the harmonics up to degree 4.
     density
-        Fields of the density on each region: the harmonics up to degree 2.
+        Number of fields of the density on each region: the harmonics up to degree 2.
     alike
-        Share of a mode that must be left beside the others: less is the same mode again.
+        Least share of a mode that must be left beside the others: less is the same mode again.
     """
 
     per_region: tuple[tuple[int, int], ...] = ((2, 25), (6, 16), (20, 9))
@@ -67,28 +68,32 @@ class JudgingRules:
     Attributes
     ----------
     reach, seen
-        Widths of the PSF: from the surface up to which voxels are evidence, so that a halo is seen
-        beside the membrane; beyond the piece from which light still falls into it.
+        Distances, widths of the PSF: from the surface, up to which voxels are evidence, so that a
+        halo is seen beside the membrane; and from the piece judged, up to which cells still shine
+        into it.
     most_cells
-        More tell hardly more of what all have in common, and take longer.
+        Most cells that are judged: more tell hardly more of what all have in common, and take
+        longer.
     hidden
-        Of a column, left beside shape and the rest: less cannot be told from them.
+        Least share of a column that is left beside shape and the rest: less cannot be told from
+        them.
     blocks, fewest_blocks
-        Sides in widths of the PSF: the noise of nearer voxels is related by it, and misfit further
-        still. With fewer blocks a variance cannot be told.
+        Sides of blocks, widths of the PSF: the PSF relates what is left of nearer voxels, and
+        misfit that of voxels further still; and the fewest blocks that can tell a variance.
     largest_z
-        What a score is called at most: nobody can read more into a larger one.
+        Largest score that is told: nobody can read more into a larger one.
     misfit
-        Variances of noise from which on what is left is worth a remark: scores are then relative
-        to it, which a reader would not expect.
+        Variance of what is left, over that of noise, from which on it is worth a remark: scores are
+        then relative to it, which a reader would not expect.
     negligible
-        Voxels: an effect that moves the surface by less is not worth its price; noise alone
-        scatters surfaces by more (docs/accuracy.md).
+        Least shift of the surface, voxels: an effect that moves it by less is not worth its price;
+        noise alone scatters surfaces by more (docs/accuracy.md).
     accuracy
-        Of the images by which effects are judged, since small ones would drown in the error of a
-        coarser one.
+        Relative error of the images by which effects are judged, since small effects would drown
+        in a larger one.
     most_rounds
-        Of adding an effect: more than there are effects to consider, so that all can be taken.
+        Most rounds in which an effect is added: more than there are effects to consider, so that
+        all can be taken.
     """
 
     reach: float = 8.0
@@ -111,20 +116,20 @@ class CameraRules:
     Attributes
     ----------
     coloured
-        How far the correlation of neighbours may be from that of white noise: beyond it an image
-        was filtered or deconvolved, and its variances are not those of the camera.
+        Largest difference of the correlation of neighbours from that of white noise: beyond it an
+        image was filtered or deconvolved, and its variances are not those of the camera.
     bins, fewest
-        Of brightness, and the voxels that one needs: variances of 60 squares are right within a
-        fifth, which 48 bins average out.
+        Number of bins of brightness, and the fewest voxels of a bin: variances of 60 squares are
+        right within a fifth, which 48 bins average out.
     largest_error, surely_related
-        Of the slope of the variance, relative: the first beyond which the image does not tell the
-        gain, the second beyond which it does not tell that noise grows with brightness at all.
-        Chosen: a fifth, and two standard errors from none.
+        Relative errors of the slope of the variance: beyond the first, the image does not tell the
+        gain, beyond the second, not even that noise grows with brightness. Chosen: a fifth, and two
+        standard errors from none.
     dark_radius, fewest_dark
-        Voxels around one by whose mean it is called dark, so that its own noise does not choose it;
-        with fewer dark voxels their spread is not that of read noise.
+        Distance, voxels, of the neighbours by whose mean a voxel is called dark, so that its own
+        noise does not choose it; and the fewest dark voxels whose spread is that of read noise.
     looked_at
-        Voxels that are enough: more would take longer than a second.
+        Most voxels that are looked at: more would take longer than a second.
     cut_share, over_next, falls
         Dark voxels were cut where those of the least value are more than such a share of all, so
         many times those of the next value, and where this ratio is so many times the next ratio,
@@ -134,10 +139,10 @@ class CameraRules:
     levels
         Quantiles of the brightness between which bins lie: single voxels beyond would stretch them.
     noiseless
-        Noise over the largest value: less is rounding of single precision.
+        Least noise over the largest value: less is rounding of single precision.
     flattest
-        Of the smallest variance: a line that falls below it would give weights without bounds.
-        Measured: half and twice change nothing.
+        Least value of the line, as a share of the smallest variance: with less it would give
+        weights without bounds. Measured: half and twice change nothing.
     """
 
     coloured: float = 0.06
@@ -163,42 +168,45 @@ class SpectrumRules:
     Attributes
     ----------
     rings
-        Of wavenumbers in the plane. Measured: half and twice change widths by 0.5 % at most.
+        Number of rings of wavenumbers in the plane. Measured: half and twice change widths by 0.5 %
+        at most.
     largest_error
-        Relative. Chosen, not measured: a start that is off by a quarter is still one.
+        Largest relative error of a width that is told. Chosen, not measured: a start that is off by
+        a quarter is still one.
     shape_error
-        Relative, added to each error: surfaces do not face every direction alike. Found on spheres
-        and ellipsoids.
+        Relative error that is added to each: surfaces do not face every direction alike. Found on
+        spheres and ellipsoids.
     longest_wave
-        Of the image's side: longer waves tell of its frame. Measured: half and twice change widths
-        by 0.2 % at most.
+        Longest wave, as a share of the image's side: longer ones tell of its frame. Measured: half
+        and twice change widths by 0.2 % at most.
     looked_at, parts
-        Voxels of each part that is looked at, and how many of those with most structure: more would
-        take longer than 2 s, as measured. The middle alone may hold nothing but the caps of a large
-        cell, which tell no width in the plane.
+        Most voxels of a part of the image, and the number of parts that are looked at, those with
+        most structure: more would take longer than 2 s, as measured. The middle alone may hold
+        nothing but the caps of a large cell, which tell no width in the plane.
     most_modes
-        That a ring counts as, since the modes of one ring belong to one shape. Measured: half and
-        twice change widths by 0.02 % at most.
+        Most modes that a ring counts as, since those of one ring belong to one shape. Measured:
+        half and twice change widths by 0.02 % at most.
     noise_floor, low_waves
         Quantiles of the power and of the wavenumbers from which the search for the noise and for
         the light starts. Measured: half and twice change nothing.
     starts
-        Voxels: widths from which it is searched for; three, since there could be other minima.
+        Widths, voxels, from which the search starts; three, since there could be other minima.
         Measured: half and twice change nothing.
     light, noise
-        Logarithms of power: how far from its start each may go, so that the search stays where
-        numbers are finite. Measured: half and twice change nothing.
+        How far from their starts the logarithms of the power of light and noise may go, so that the
+        search stays where numbers are finite. Measured: half and twice change nothing.
     log_widths, at_bound
-        Logarithms of widths in voxels (0.2 to 12), and how near to either end a width is not told:
-        narrower ones leave no trace below the largest wavenumber, wider ones only the frame.
+        Bounds of the logarithms of widths in voxels (0.2 to 12), and how near to either a width is
+        not told: narrower ones leave no trace below the largest wavenumber, wider ones only the
+        frame.
     log_flatness, log_flat
         Logarithm of how many times as long along Z as across cells are: its standard deviation
         where nothing is known, and its bounds. Chosen: from a fifth to five times. Measured on 53
         random scenes: half of the widths along Z are off by more than 0.07, and by 0.10 if cells
         are taken to be round; in the plane by 0.08 both times.
     dead
-        Missing slices in a row that are interpolated. Measured on a flat cell with 1, 2 and 3 of
-        them in its middle: its 0.45 um along Z look like 0.44, 0.42 and 0.38.
+        Most missing slices in a row that are interpolated. Measured on a flat cell with 1, 2 and 3
+        of them in its middle: its 0.45 um along Z look like 0.44, 0.42 and 0.38.
     fades
         Voxels from missing ones in which light fades. Measured on a flat cell of which a slope cuts
         half away: with 2, 4 and 8, its 0.45 um along Z look like 0.21, 0.30 and 0.38.
@@ -206,7 +214,7 @@ class SpectrumRules:
         The light at the longest wave, blurred by so many voxels, must be so many times the noise:
         otherwise there is none. Measured: half and twice change nothing.
     step
-        Of logarithms, in differences: rounding and curvature are both below 1e-6 then.
+        Step of logarithms in difference quotients: rounding and curvature are both below 1e-6 then.
     in_voxels
         Widths along Z and in the plane that a fit may start from: narrower ones the voxels cannot
         tell, and wider ones would be haze, not a PSF. Measured on random scenes: of 18 in which the
@@ -214,8 +222,8 @@ class SpectrumRules:
         and the last within 2; of four in which it gave more than 4 in the plane as well, all were
         1.6 to 11 times too wide there.
     z_over_yx
-        Of the widths: from a thin light sheet with its error to a low aperture; no microscope has
-        more, so that it would be something else than a PSF.
+        Bounds of the width along Z over that in the plane: from a thin light sheet with its error
+        to a low aperture; no microscope has more, so that it would be something else than a PSF.
     """
 
     rings: int = 48
@@ -250,15 +258,17 @@ class SliceRules:
     Attributes
     ----------
     bright
-        Share of a slice's voxels that its structures are judged by: membranes fill about as much.
+        Share of a slice's voxels by which its structures are judged, the brightest: membranes fill
+        about as much.
     fewest
-        Slices with structures: a slope and its error cannot be told from fewer.
+        Fewest slices with structures: a slope and its error cannot be told from fewer.
     smoothed
-        Voxels: of slices before they are compared, or noise would make the brightest voxels.
+        Width, voxels, by which slices are smoothed before their brightest voxels are taken: noise
+        would choose these otherwise.
     least_error
-        Voxels, of the peak of a correlation: shares of a voxel are not told better.
+        Least error of the peak of a correlation, voxels: shares of a voxel are not told better.
     largest_shift
-        Voxels, of neighbouring slices: more is a stack that was put together wrongly.
+        Largest shift of neighbouring slices, voxels: more is a stack that was put together wrongly.
     """
 
     bright: float = 0.02
@@ -275,13 +285,15 @@ class ResidualRules:
     Attributes
     ----------
     near
-        Widths of the PSF from a surface that are its cell's: there a membrane has light.
+        Distance from a surface, widths of the PSF, within which the residual is its cell's: there a
+        membrane has light.
     spot
-        Standard deviations of what belongs to a spot: more than noise has in 99.7 % of voxels.
+        Standard deviations above which voxels belong to a spot: more than noise has in 99.7 % of
+        voxels.
     false_spots
-        Expected in an image that the model explains: one in twenty images would show one.
+        Spots expected in an image that the model explains: one in twenty images would show one.
     most_spots
-        That are told: nobody can look at more.
+        Most spots that are told: nobody can look at more.
     """
 
     near: float = 3.0

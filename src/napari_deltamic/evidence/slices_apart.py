@@ -12,8 +12,9 @@ import numpy as np
 
 from ..geometry.mesh import FloatArray
 
-# By definition, of a normal deviate: the standard deviation over the median of its size, and the
-# variance of its difference from the mean of two others.
+# By definition, of a normal deviate: the standard deviation over the median of its size, which is
+# 0.6745 of it, as in ``common.normal``; and the variance of its difference from the mean of two
+# others.
 _OVER_MEDIAN, _FROM_NEIGHBOURS = 1 / 0.6745, 1.5
 # By definition, too: relative error of a variance from that median, times the root of their number;
 # it is 0.37 times as efficient as the mean square.

@@ -31,7 +31,7 @@ class StrayRules:
         Share of the diameter of a typical cell: places nearer to each other belong together, since
         a membrane without a cell is bright in many places.
     most
-        Most things that the user is told, the brightest first.
+        Most things that the user is told of, the brightest first. Chosen, not measured.
     """
 
     away: float = 3.0

@@ -19,29 +19,32 @@ class VerdictRules:
         Largest share of the light of a cell that one place of the residual may hold. Measured:
         scenes within 0.2 voxel had up to 0.09, nuclei and haze fitted as membranes 0.15 or more.
     widths
-        Width of the blur that the image tells over that of the PSF used. Measured: 0.9 to 1.1 where
-        the PSF is right and layers are thin; 1.2 to 1.5 for layers of 3 to 8 voxels and nuclei.
+        Least and largest width of the blur that the image tells, over that of the PSF used.
+        Measured: 0.9 to 1.1 where the PSF is right and layers are thin; 1.2 to 1.5 for layers of 3
+        to 8 voxels and nuclei.
     along
-        The same along Z, least. Measured: 0.89 or more in 86 of 88 scenes that were fitted with a
-        Gaussian PSF, 0.54 and 0.72 where it stood in for a light cone (off by 1.7 voxels along Z);
-        0.41 in chromosomes that were taken for a membrane.
+        The least such width along Z. Measured: 0.89 or more in 86 of 88 scenes that were fitted
+        with a Gaussian PSF, 0.54 and 0.72 where it stood in for a light cone (off by 1.7 voxels
+        along Z); 0.41 in chromosomes that were taken for a membrane.
     far_off
-        The same across or along Z, below which the fit is poor: no image is half as wide as its
+        Such a width across or along Z below which the fit is poor: no image is half as wide as its
         PSF. Measured: 0.25 to 0.48 in six hazes seen by a widefield microscope, whose cells were
         1.2 to 9.9 voxels off.
     grown, shrunk
-        Volume over that of the start; with four cells or more, over what it is in the others.
-        Chosen, not measured: starts are rough, but hardly by so much.
+        Largest and least volume over that of the start; with four cells or more, over what it is in
+        the others. Chosen, not measured: starts are rough, but hardly by so much.
     left_out
-        Light of bright parts beside a cell that belong to none, over its own, at most. Measured:
+        Most light of bright parts beside a cell that belong to none, over its own. Measured:
         0.08, 0.22 and 0.31 in cells whose labels lacked 8, 21 and 27 % of their volume, 0.05 in one
         that lacked 5 %; 0 in 526 other cells of which insides alone shine.
     inside
-        Brightness deep inside a cell less that outside, over that of its surface: with membranes
-        alone within 0.02 of 0, with light inside or a haze around beyond 0.35.
+        Largest difference of the brightness deep inside a cell and outside, over that of its
+        surface: with membranes alone it is within 0.02 of 0, with light inside or a haze around
+        beyond 0.35.
     compact
-        Area of the sphere of the same volume over that of the cell, over what it was at the start:
-        0.9 to 1 where the shape was found, below 0.6 where it crumpled or swallowed a neighbour.
+        Least area of the sphere of the same volume over that of the cell, over what it was at the
+        start: 0.9 to 1 where the shape was found, below 0.6 where it crumpled or swallowed a
+        neighbour.
     lit, dark
         Least share of the surface of a cell that shines, below which it is fair, and poor: where
         nothing shines, the image tells no shape. Measured: vesicles 0.69 or more, cells of an
@@ -52,11 +55,12 @@ class VerdictRules:
         it is fair, and poor; the same where it did not count. Chosen, not measured: a dead slice of
         20 hides a twentieth.
     slices
-        Least height. Chosen: a slice between two surfaces, and one on each. Measured: six cells of
-        1.1 to 1.8 slices, which were good, were 0.66 voxel off; none between 1.8 and 3.
+        Least height of a cell, slices. Chosen: a slice between two surfaces, and one on each.
+        Measured: six cells of 1.1 to 1.8 slices, which were good, were 0.66 voxel off; none between
+        1.8 and 3.
     uneven
-        Of the brightness deep inside a cell, standard deviation without noise: insides of one
-        brightness had none, chromatin of 0.2 to 0.5 had 0.1 to 0.2, and borders were 0.2 to 0.6
+        Largest standard deviation of the brightness deep inside a cell, without noise: insides of
+        one brightness had none, chromatin of 0.2 to 0.5 had 0.1 to 0.2, and borders were 0.2 to 0.6
         voxel off (benchmarks.defaults). It weighs by the inside's share of the brightness: by least
         squares on the profile of a flat border, an uneven inside moves the border 0.2 to 1 times
         as far as so weighed, for insides 0.01 to 100 times as bright as the membrane's peak.
@@ -66,17 +70,18 @@ class VerdictRules:
         0.75, 0.04 to 0.17 voxel off, 0.25 and 0.57 for nuclei; with 0.81, a membrane was taken for
         an inside, 2.2 voxels off.
     shifted
-        Voxels, by which slices may be apart along Y and X. Measured (benchmarks.defaults): 0.35 to
-        0.78 in four stacks whose slices were shifted by 0.7, up to 0.11 in 103 others; 0.13 in a
-        real stack of vesicles that wobbles, up to 0.05 in three others.
+        Largest shift of slices against each other along Y and X, voxels. Measured
+        (benchmarks.defaults): 0.35 to 0.78 in four stacks whose slices were shifted by 0.7, up to
+        0.11 in 103 others; 0.13 in a real stack of vesicles that wobbles, up to 0.05 in three
+        others.
     flicker
-        By how much the brightness of slices may vary. Measured: 0.12 to 0.19 in four stacks where
-        it did by a fifth, up to 0.07 in the others.
+        Largest relative variation of the brightness of slices. Measured: 0.12 to 0.19 in four
+        stacks where it did by a fifth, up to 0.07 in the others.
     dome
-        Of the brightest light of the model, how high a dome of haze it may have taken for
-        background. Chosen, well below what was measured: 0.8 to 1.6 in three hazes that a widefield
-        microscope saw, with cells 0.3 to 0.55 voxel off; 0 where a background rises from side to
-        side.
+        Largest height of a dome of haze that the model may have taken for background, over its
+        brightest light. Chosen, well below what was measured: 0.8 to 1.6 in three hazes that a
+        widefield microscope saw, with cells 0.3 to 0.55 voxel off; 0 where a background rises from
+        side to side.
     followed
         Least share of the image around the surfaces, other objects left out, that the way to them
         explains where the seeds explained hardly any of it. Measured: 0.15 to 0.37 in five fits of

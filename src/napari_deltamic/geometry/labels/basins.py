@@ -142,15 +142,16 @@ def pixel_noise(data: FloatArray, known: Mask | None = None) -> float:
 
     known : where the image is not missing; None: everywhere.
 
-    From second differences along X: membranes hardly change them, and their median even less. The
-    median magnitude of a normal deviate is 0.6745; the squares of the weights 1, -2, 1 sum to 6.
+    From second differences along X: they hardly see membranes, and their median hardly any. The
+    median of a normal deviate's magnitude is 0.6745 (as in ``common.normal``), and the squares of
+    the weights 1, -2, 1 add up to 6.
     """
     if data.shape[2] < 3:
         return 0.0
     second = np.abs(np.diff(data, 2, axis=2))
     if known is not None:
         second = second[known[..., 2:] & known[..., 1:-1] & known[..., :-2]]
-    return float(np.median(second)) / 0.6745 / 6**0.5 if second.size else 0.0  # exact, see above
+    return float(np.median(second)) / 0.6745 / 6**0.5 if second.size else 0.0  # by definition
 
 
 def border_area(shape: tuple[int, ...], size: FloatArray, known: Mask | None = None) -> FloatArray:
