@@ -130,6 +130,6 @@ def _gained(loss: Sequence[float], changed: Sequence[bool]) -> list[float]:
 
 
 def _spread(n: int) -> list[int]:
-    """Indices of even points to draw, fewer than twice ``_MOST_POINTS``, with both ends."""
+    """Indices of evenly spaced points, fewer than twice ``_MOST_POINTS``, with both ends."""
     chosen = [*range(0, n, max(1, n // _MOST_POINTS))]
     return chosen if not n or chosen[-1] == n - 1 else [*chosen, n - 1]
