@@ -142,9 +142,9 @@ def pixel_noise(data: FloatArray, known: Mask | None = None) -> float:
 
     known : where the image is not missing; None: everywhere.
 
-    From second differences along X: they hardly see membranes, and their median hardly any. The
-    median of a normal deviate's magnitude is 0.6745 (as in ``common.normal``), and the squares of
-    the weights 1, -2, 1 add up to 6.
+    From second differences along X: membranes hardly change them, and their median even less. The
+    median magnitude of a normal deviate is 0.6745 (as in ``common.normal``); the squares of the
+    weights 1, -2, 1 sum to 6.
     """
     if data.shape[2] < 3:
         return 0.0

@@ -14,7 +14,7 @@ from qtpy.QtWidgets import QSizePolicy, QWidget
 from ...results.timeline import explained
 from ..widgets import is_dark
 
-_MOST_POINTS = 400  # of each line fewer than twice as many are drawn
+_POINTS = 400  # of each line fewer than twice as many are drawn
 _OVER_CURVE = 18  # px above the plot
 _CAPTION, _TOO_FEW = "what the fit has gained, by iteration", "one iteration so far"
 _HARDLY = 2.0  # per cent: who gains less is drawn no larger
@@ -130,6 +130,6 @@ def _gained(loss: Sequence[float], changed: Sequence[bool]) -> list[float]:
 
 
 def _spread(n: int) -> list[int]:
-    """Indices of evenly spaced points, fewer than twice ``_MOST_POINTS``, with both ends."""
-    chosen = [*range(0, n, max(1, n // _MOST_POINTS))]
+    """Indices of evenly spaced points, fewer than twice ``_POINTS``, with both ends."""
+    chosen = [*range(0, n, max(1, n // _POINTS))]
     return chosen if not n or chosen[-1] == n - 1 else [*chosen, n - 1]
