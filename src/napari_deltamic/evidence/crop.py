@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from ..fitting.voxels.voxel_ownership import surface_voxels
-from ..geometry.mesh import Mesh
+from ..geometry.mesh import Mesh, mesh_of_faces
 from ..scene import Grid
 from .evidence_rules import JUDGING
 
@@ -125,8 +125,7 @@ def _near_piece(
         return mesh, density
     sides = np.where(np.isin(mesh.regions, kept), mesh.regions, 0)
     faces = (sides != 0).any(1)
-    used, index = np.unique(mesh.faces[faces], return_inverse=True)
-    part = Mesh(v[used], index.reshape(-1, 3), sides[faces])
+    part, _ = mesh_of_faces(v, mesh.faces[faces], sides[faces])
     weight = np.ones(len(part.faces)) if density is None else density[faces]
     weight = weight * mesh.membranes()[faces] / part.membranes()
     return part, weight if np.ptp(weight) > 0 else None

@@ -13,7 +13,7 @@ from .arrays import FloatArray, IntArray, checked_vertices, is_tensor, to_numpy
 from .connectivity import OUTSIDE, Connectivity
 from .trimesh_exchange import from_trimesh, to_trimesh
 
-__all__ = ["OUTSIDE", "FloatArray", "IntArray", "Mesh"]
+__all__ = ["OUTSIDE", "FloatArray", "IntArray", "Mesh", "mesh_of_faces"]
 
 
 class Mesh:
@@ -191,12 +191,8 @@ class Mesh:
         inner = self.regions[:, 0] == region
         outer = self.regions[:, 1] == region
         faces = np.where(outer[:, None], self.faces[:, ::-1], self.faces)[inner | outer]
-        used, index = np.unique(faces, return_inverse=True)
-        return Mesh(
-            self.vertices[used],
-            index.reshape(-1, 3),
-            np.tile(np.array([region, OUTSIDE]), (len(faces), 1)),
-        )
+        regions = np.tile(np.array([region, OUTSIDE]), (len(faces), 1))
+        return mesh_of_faces(self.vertices, faces, regions)[0]
 
     def is_closed(self, region: int | None = None) -> bool:
         """True if every region (or the one given) is bounded by a closed surface.
@@ -277,6 +273,12 @@ class Mesh:
             offset += len(part.vertices)
         vertices = _concatenated([part.vertices for part in parts])
         return Mesh(vertices, np.concatenate(faces), np.concatenate(regions))
+
+
+def mesh_of_faces(vertices: Any, faces: IntArray, regions: Any = None) -> tuple[Mesh, IntArray]:
+    """Return a mesh of some faces with only the vertices that they use, and which these are."""
+    used, index = np.unique(faces, return_inverse=True)
+    return Mesh(vertices[used], index.reshape(-1, 3), regions), used
 
 
 def _triple(value: ArrayLike, name: str) -> FloatArray:

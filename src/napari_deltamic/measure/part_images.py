@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from ..geometry.mesh import FloatArray, Mesh
+from ..geometry.mesh import FloatArray, Mesh, mesh_of_faces
 from ..optics import Optics
 from ..scene import Grid, Scene, Solid, Surface, render_scene
 
@@ -53,9 +53,8 @@ def _walls(mesh: Mesh) -> Iterator[Surface | None]:
     ends = np.searchsorted(wall[order], np.arange(len(pairs) + 1))
     v = mesh.vertices_numpy()
     for k in range(len(pairs)):
-        used, index = np.unique(mesh.faces[order[ends[k] : ends[k + 1]]], return_inverse=True)
         # As a surface of its own: one membrane, whatever lies on either side.
-        yield Surface(Mesh(v[used], index.reshape(-1, 3)))
+        yield Surface(mesh_of_faces(v, mesh.faces[order[ends[k] : ends[k + 1]]])[0])
 
 
 def _insides(mesh: Mesh) -> Iterator[Solid | None]:

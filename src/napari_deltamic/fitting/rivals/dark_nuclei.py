@@ -24,7 +24,7 @@ from ...common.triple import geometric_mean
 from ...errors import InputError, RepairWarning
 from ...geometry.labels.meshes import mesh_from_labels
 from ...geometry.labels.voxels import voxel_labels
-from ...geometry.mesh import FloatArray, Mesh
+from ...geometry.mesh import FloatArray, Mesh, mesh_of_faces
 from ...optics import GaussianMixturePSF, GaussianPSF
 from ...scene import Grid
 from ...scene.light import INSIDES, Light
@@ -137,8 +137,7 @@ class _Cells:
         """The cells alone, with what their nuclei hold."""
         regions = self._cells_of(mesh.regions)
         kept = regions[:, 0] != regions[:, 1]
-        used, faces = np.unique(np.asarray(mesh.faces)[kept], return_inverse=True)
-        return Mesh(mesh.vertices_numpy()[used], faces.reshape(-1, 3), regions[kept])
+        return mesh_of_faces(mesh.vertices_numpy(), mesh.faces[kept], regions[kept])[0]
 
     def filled(self, light: Light) -> Light:
         """The light if nuclei were as bright as the cytoplasm around them."""

@@ -13,7 +13,7 @@ from itertools import pairwise, product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..mesh import FloatArray, IntArray, Mesh
+from ..mesh import FloatArray, IntArray, Mesh, mesh_of_faces
 from .change_sizes import SIZES
 from .submesh import Change, Submesh, stayed
 from .thin_places import ThinPlace
@@ -318,8 +318,7 @@ class _Draft:
             if len(left) == len(waiting):
                 return None
             waiting = left
-        used, index = np.unique(np.array(self.faces), return_inverse=True)
-        made = Mesh(vertices[used], index.reshape(-1, 3), np.array(self.pairs))
+        made, used = mesh_of_faces(vertices, np.array(self.faces), np.array(self.pairs))
         return stayed(self._mesh, made, np.where(used < len(self._mesh.vertices), used, -1))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import InputError
-from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh, mesh_of_faces
 from ..remeshing import can_remesh, remesh
 
 _LEAST_AROUND = 12  # edges around a new wall
@@ -75,8 +75,7 @@ def remove_region(mesh: Mesh, region: int) -> Mesh | None:
     kept = regions[:, 0] != regions[:, 1]
     if not kept.any():
         return None
-    used, index = np.unique(mesh.faces[kept], return_inverse=True)
-    return Mesh(mesh.vertices_numpy()[used], index.reshape(-1, 3), regions[kept])
+    return mesh_of_faces(mesh.vertices_numpy(), mesh.faces[kept], regions[kept])[0]
 
 
 def _split(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import native
-from ..mesh import OUTSIDE, IntArray, Mesh
+from ..mesh import OUTSIDE, IntArray, Mesh, mesh_of_faces
 from .submesh import Change, Submesh
 from .thin_places import ThinPlace
 
@@ -58,8 +58,7 @@ def absorbed(part: Submesh, place: ThinPlace, _: float) -> Iterator[Change]:
     kept = regions[:, 0] != regions[:, 1]
     if not kept.any():
         return
-    used, index = np.unique(mesh.faces[kept], return_inverse=True)
-    yield Change(Mesh(mesh.vertices_numpy()[used], index.reshape(-1, 3), regions[kept]), used)
+    yield Change(*mesh_of_faces(mesh.vertices_numpy(), mesh.faces[kept], regions[kept]))
 
 
 def _rows_of(part: Submesh, place: ThinPlace) -> IntArray | None:

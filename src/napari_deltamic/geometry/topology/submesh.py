@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..contacts import between_cells
-from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh
+from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh, mesh_of_faces
 from ..remeshing import remesh
 from .change_sizes import SIZES
 from .crossings import crosses
@@ -93,10 +93,9 @@ class Cutter:
 
     def part(self, rows: IntArray) -> Submesh:
         """Cut out some faces as a part."""
-        corners, index = np.unique(self.mesh.faces[rows], return_inverse=True)
-        index = index.reshape(-1, 3)
-        mesh = Mesh(self.vertices[corners], index, self.mesh.regions[rows])
-        elsewhere = self._faces_at[corners] > np.bincount(index.reshape(-1))
+        whole = self.mesh
+        mesh, corners = mesh_of_faces(self.vertices, whole.faces[rows], whole.regions[rows])
+        elsewhere = self._faces_at[corners] > np.bincount(mesh.faces.reshape(-1))
         return Submesh(mesh, rows, corners, elsewhere)
 
 
@@ -171,9 +170,7 @@ def _face_rows(faces: IntArray, regions: IntArray) -> IntArray:
 
 def _some(mesh: Mesh, mask: Mask) -> tuple[Mesh, IntArray]:
     """Return a mesh of some faces, and the given mesh's vertices that it has."""
-    corners, index = np.unique(mesh.faces[mask], return_inverse=True)
-    some = Mesh(mesh.vertices_numpy()[corners], index.reshape(-1, 3), mesh.regions[mask])
-    return some, corners
+    return mesh_of_faces(mesh.vertices_numpy(), mesh.faces[mask], mesh.regions[mask])
 
 
 def evened_around(part: Submesh, change: Change, points: FloatArray, edge: float) -> Change:

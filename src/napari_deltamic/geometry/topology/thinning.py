@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..connected import sharing
-from ..mesh import FloatArray, IntArray, Mesh
+from ..mesh import FloatArray, IntArray, Mesh, mesh_of_faces
 from .change_sizes import SIZES
 from .submesh import Change, Submesh
 from .thin_places import ThinPlace
@@ -233,5 +233,4 @@ def _replaced(
     """Return a mesh with some faces left out and others added."""
     faces = np.concatenate([mesh.faces[rest], added])
     pairs = np.concatenate([regions[rest], np.tile(np.array(sides), (len(added), 1))])
-    used, index = np.unique(faces, return_inverse=True)
-    return Change(Mesh(mesh.vertices_numpy()[used], index.reshape(-1, 3), pairs), used)
+    return Change(*mesh_of_faces(mesh.vertices_numpy(), faces, pairs))
