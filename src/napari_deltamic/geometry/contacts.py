@@ -8,7 +8,8 @@ cell.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,18 +60,29 @@ def neighbours(mesh: Mesh) -> dict[int, list[int]]:
     return {region: sorted(others) for region, others in found.items()}
 
 
+def faces_of_voxels(
+    labels: NDArray[np.integer], *images: NDArray[Any]
+) -> Iterator[list[tuple[NDArray[Any], NDArray[Any]]]]:
+    """Yield, for each axis, the values on both sides of the voxel faces between two labels.
+
+    They are two (n,) arrays of the labels, then two of each image. The background (0) does not
+    count as a label.
+    """
+    for axis in range(labels.ndim):
+        lines = [np.moveaxis(values, axis, 0) for values in (labels, *images)]
+        before, after = lines[0][:-1], lines[0][1:]
+        meet = before != after
+        meet &= np.minimum(before, after) > OUTSIDE
+        yield [(values[:-1][meet], values[1:][meet]) for values in lines]
+
+
 def label_contacts(labels: NDArray[np.integer]) -> tuple[IntArray, IntArray]:
     """Return (N, 2) pairs of touching labels, the smaller first, and (N,) the voxel faces between.
 
     The background (0) does not count as a label.
     """
     smaller, larger = [], []
-    for axis in range(labels.ndim):
-        before, after = ((slice(None),) * axis + (s,) for s in (slice(None, -1), slice(1, None)))
-        one, other = labels[before], labels[after]
-        meet = one != other
-        meet &= np.minimum(one, other) > OUTSIDE
-        a, b = one[meet], other[meet]
+    for [(a, b)] in faces_of_voxels(labels):
         smaller.append(np.minimum(a, b))
         larger.append(np.maximum(a, b))
     low, high = (np.concatenate(side).astype(np.int64) for side in (smaller, larger))

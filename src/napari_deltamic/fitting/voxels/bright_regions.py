@@ -19,6 +19,7 @@ from skimage.segmentation import watershed
 
 from ...common.ball import ball_radius
 from ...common.doing import doing
+from ...geometry.contacts import faces_of_voxels
 from ...geometry.labels.voxels import highest, widened
 from ...images.missing import filled
 from ...scene import Grid
@@ -187,12 +188,9 @@ def _saddles(parts: Labels, light: np.ndarray) -> list[tuple[float, int, int]]:
     """Brightness at which two parts meet, and their numbers; the brightest first."""
     found: dict[int, float] = {}
     several = int(parts.max()) + 1
-    for axis in range(3):
-        ahead, behind = slice(1, None), slice(None, -1)
-        a, b = (np.moveaxis(parts, axis, 0)[side].astype(np.int64) for side in (ahead, behind))
-        meet = (a != b) & (a > 0) & (b > 0)
-        lower = np.minimum(*(np.moveaxis(light, axis, 0)[side][meet] for side in (ahead, behind)))
-        pairs = np.minimum(a, b)[meet] * several + np.maximum(a, b)[meet]
+    for names, values in faces_of_voxels(parts, light):
+        lower, (a, b) = np.minimum(*values), (side.astype(np.int64) for side in names)
+        pairs = np.minimum(a, b) * several + np.maximum(a, b)
         kinds, which = np.unique(pairs, return_inverse=True)
         highest = np.full(len(kinds), -np.inf)
         np.maximum.at(highest, which, lower)

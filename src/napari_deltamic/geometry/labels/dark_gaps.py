@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ..contacts import faces_of_voxels
 from ..mesh import IntArray
 from ..pairs import unique_pairs
 
@@ -52,14 +53,11 @@ def _between(
     """
     index = np.arange(closed.size).reshape(closed.shape)
     met, at = [np.zeros((0, 2), closed.dtype)], [np.zeros(0, index.dtype)]
-    for axis in range(3):
-        here, label, line = (np.moveaxis(one, axis, 0) for one in (index, closed, gap))
-        meet = (label[1:] != label[:-1]) & (label[1:] > 0) & (label[:-1] > 0)
-        bare = ~(line[1:] | line[:-1])
-        for own in (slice(1, None), slice(None, -1)):
-            chosen = meet & (line[own] if in_gaps else bare)
-            met.append(np.sort(np.stack([label[1:][chosen], label[:-1][chosen]], 1), axis=1))
-            at.append(here[own][chosen])
+    for names, lines, places in faces_of_voxels(closed, gap, index):
+        for line, here in zip(lines, places, strict=True):
+            chosen = line if in_gaps else ~(lines[0] | lines[1])
+            met.append(np.sort(np.stack(names, 1)[chosen], axis=1))
+            at.append(here[chosen])
     pairs, number = unique_pairs(np.concatenate(met))
     order = np.argsort(number, kind="stable")
     ends = np.cumsum(np.bincount(number, minlength=len(pairs)))

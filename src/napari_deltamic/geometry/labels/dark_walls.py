@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.segmentation import relabel_sequential
 
+from ..contacts import faces_of_voxels
 from ..mesh import FloatArray, IntArray
 from ..pairs import unique_pairs
 from .region_merging import Image, Labels
@@ -124,11 +125,9 @@ def _mean_solidity(several: list[int], parts: Labels, boxes: dict[int, tuple[sli
 def _walls(labels: Labels, smooth: Image) -> tuple[IntArray, FloatArray]:
     """Return (n, 2) labels that touch, and how bright the wall is almost all along."""
     met, light = [np.zeros((0, 2), labels.dtype)], [np.zeros(0, smooth.dtype)]
-    for axis in range(3):
-        name, value = np.moveaxis(labels, axis, 0), np.moveaxis(smooth, axis, 0)
-        meet = (name[1:] != name[:-1]) & (name[1:] > 0) & (name[:-1] > 0)
-        met.append(np.sort(np.stack([name[1:][meet], name[:-1][meet]], 1), axis=1))
-        light.append(np.minimum(value[1:], value[:-1])[meet])
+    for names, values in faces_of_voxels(labels, smooth):
+        met.append(np.sort(np.stack(names, 1), axis=1))
+        light.append(np.minimum(*values))
     pairs, number = unique_pairs(np.concatenate(met))
     return pairs, _quantiles(np.concatenate(light), number, len(pairs), WALLS.along)
 

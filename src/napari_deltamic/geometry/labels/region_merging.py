@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ..contacts import faces_of_voxels
 from ..mesh import FloatArray
 from .cell_rules import FINDING
 
@@ -160,11 +161,8 @@ def faces_between(
     Label 0 does not count as a region.
     """
     pairs, heights, areas = [], [], []
-    for axis in range(3):
-        a, b = (np.moveaxis(labels, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
-        p, q = (np.moveaxis(image, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
-        differ = (a != b) & (a > 0) & (b > 0)
-        pairs.append(np.sort(np.stack([a[differ], b[differ]]).astype(np.int64), axis=0))
-        heights.append(np.maximum(p[differ], q[differ]).astype(np.float64))
+    for axis, (names, values) in enumerate(faces_of_voxels(labels, image)):
+        pairs.append(np.sort(np.stack(names).astype(np.int64), axis=0))
+        heights.append(np.maximum(*values).astype(np.float64))
         areas.append(np.full(heights[-1].shape, np.prod(size) / size[axis]))
     return np.concatenate(pairs, axis=1), np.concatenate(heights), np.concatenate(areas)
