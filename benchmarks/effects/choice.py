@@ -244,6 +244,9 @@ def grouped(names: Iterable[str]) -> set[str]:
     return {GROUPS.get(n, n) for n in names}
 
 
+_CHOICES = {"none": "no", "recommended": "recommended", "true": "true", "all": "all"}
+
+
 def rows(scenes: Sequence[dict[str, Any]]) -> list[Row]:
     """The figures of the scenes measured."""
     matter = found = absent = alarms = 0
@@ -274,8 +277,8 @@ def rows(scenes: Sequence[dict[str, Any]]) -> list[Row]:
             "means of the scenes",
         ),
         *(
-            Row(f"shape error with {name} effects", "", error[name], "voxel", None)
-            for name in ("none", "recommended", "true", "all")
+            Row(f"shape error with {said} effects", "", error[name], "voxel", None)
+            for name, said in _CHOICES.items()
         ),
         Row("time of a recommendation", "", _median(scenes, "seconds"), "s", None),
     ]
