@@ -267,7 +267,9 @@ def _found(path: str, image: str) -> FoundSeeds:
     try:
         size = float(told) if colon else None
     except ValueError:
-        raise InputError(f"{path}: {told!r} is not a cell size in um, as in {AUTO}:12") from None
+        raise InputError(
+            f"{path}: {told!r} is not a cell size in um; write {AUTO}:12, say"
+        ) from None
     return FoundSeeds(size, path, (image, place[1:]) if place else None)
 
 

@@ -254,8 +254,9 @@ class TradeoffView(QWidget):
 
     def _ended(self, reason: str | None) -> None:
         self._show()
-        slow = sum(not way.measured for way in self.ways)
-        text = f"{slow} of {len(self.ways)} ways take longer than {BUDGET:g} s: left out"
+        asked = [way for way in self.ways if way.accuracy and not way.reference]
+        slow = sum(not way.measured for way in asked)
+        text = f"{slow} of {len(asked)} left out: an image takes longer than {BUDGET:g} s"
         if reason is None:
             text = f"stopped: {len(self.ways)} ways were timed"
         elif reason:
