@@ -127,3 +127,24 @@ def test_a_fit_goes_on_with_it(tmp_path):
 
 def test_voxels_that_are_given_stay():
     assert all(state.counted is None for state in fitted(may_change=False))
+
+
+def test_a_finger_that_was_left_out_is_the_cells_own():
+    """The surface ended beside it, so none of it lies in light of other objects."""
+    middle, round_cell = np.array(MIDDLE), sphere(MIDDLE, 1.4, subdivisions=5)
+    ahead = (round_cell.vertices_numpy() - middle) / 1.4
+    angle = np.arccos(np.clip(ahead[:, 2], -1, 1))
+    longer = 1 + 1.8 * np.exp(-0.5 * (angle / 0.2) ** 2)
+    fingered = round_cell.with_vertices(middle + 1.4 * ahead * longer[:, None])
+    light = nd.scene.expected_image(fingered, GRID, OPTICS, 1e-3, 1.0, 0.0)
+    pixels = np.random.default_rng(0).poisson(100 * light / light.max() + 4).astype(np.float32)
+    body = np.indices(GRID.shape)[2] * 0.2 < 4.4
+    before = replace(Problem.of(pixels, GRID, body), anew=0)
+    found = ground_again(before, ended(round_cell))
+    assert found is not None
+    finger = np.s_[10:13, 10:13, 24:29]
+    assert light[finger].min() > 0.2 * light.max()
+    assert found.counted[finger].all()
+    assert not before.counted[finger].any()
+    blank = replace(before, image=np.where(body, pixels, 4).astype(np.float32))
+    assert ground_again(blank, ended(round_cell)) is None

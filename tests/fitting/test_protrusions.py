@@ -128,5 +128,25 @@ def test_a_ring_around_dark_ground_is_another_cell(middle, theirs):
     height[other < 3] = middle
     known, spacing = np.ones(height.shape, bool), np.full(3, 0.5)
     bright = height > 0.5
-    found = protrusions(ring & bright, bright, inside, beside, height, known, 0.65, spacing)
+    starts, beyond = inside.astype(int), (cell - 9) * 0.5
+    found = protrusions(ring & bright, bright, starts, beyond, height, known, 0.65, spacing)
     assert found.any() == theirs
+
+
+@pytest.mark.parametrize("radius", [0.8, 0.9])
+def test_a_start_that_is_too_small_has_its_finger_too(radius):
+    """It lies on the dark inner flank of its membrane, where nothing is as bright as that."""
+    start = sphere(MIDDLE, radius * RADIUS, subdivisions=4)
+    assert counted_voxels(image_of(with_finger(1.6)), GRID, start, PSF)[18:23, 18:23, 40:46].all()
+
+
+def thin_cell():
+    """A flat cell, whose blurred inside is nearly as bright as its membrane, with a finger."""
+    mesh = with_finger(1.6)
+    return mesh.with_vertices(MIDDLE + (mesh.vertices_numpy() - MIDDLE) * [0.55, 0.55, 1.0])
+
+
+def test_the_finger_of_a_thin_cell_through_a_psf_that_was_told_too_wide():
+    start = BODY.with_vertices(MIDDLE + (BODY.vertices_numpy() - MIDDLE) * [0.55, 0.55, 1.0])
+    wide = GaussianPSF((0.2, 0.2, 0.2))
+    assert counted_around(image_of(thin_cell()), GRID, start, wide)[19:22, 19:22, 41:45].all()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...scene.render import offset
 from ..model.fitted import Fitted
 from ..model.problem import Problem
-from .voxel_ownership import counted_voxels, surface_shares
+from .voxel_ownership import counted_voxels, protruding, surface_shares
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,16 @@ class GroundRules:
     own
         Share of the surface of a cell that lay in light of other objects and, asked again, lies in
         its own: what a verdict says of a surface in such light (:mod:`..evidence.verdict`).
+    protruding
+        Of the voxels of cells: as many of fins and fingers must have been taken for other objects.
+        Chosen. Measured on a fish that was fitted from a PSF 0.4 times as wide: 0.33; none in 128
+        other scenes but for one of thin cells.
     times
         How often a fit goes on so, at most; chosen.
     """
 
     own: float = 0.1
+    protruding: float = 0.02
     times: int = 2
 
 
@@ -47,13 +52,18 @@ def ground_again(problem: Problem, fitted: Fitted) -> Problem | None:
     if problem.foreign is None or problem.anew is None or problem.anew >= RULES.times:
         return None
     mesh, grid = fitted.mesh, problem.grid
-    before = surface_shares(problem.counted, grid, mesh)
-    if all(1 - share < RULES.own for share in before.values()):
-        return None  # however many voxels came to them
     added, measured = offset(fitted.effects, grid), problem.counted | problem.foreign
     image = problem.image if added is None else problem.image - added.numpy()
     image = np.where(measured, image, np.nan).astype(np.float32)
-    own = counted_voxels(image, grid, mesh, fitted.first_optics) & measured
+    given = image, grid, mesh, fitted.optics
+    fins = protruding(*given) & problem.foreign
+    room = abs(sum(mesh.volumes().values())) / np.prod(grid.voxel_size)
+    if fins.sum() > RULES.protruding * room:
+        return with_ground(problem, problem.counted | counted_voxels(*given), problem.anew + 1)
+    before = surface_shares(problem.counted, grid, mesh)
+    if all(1 - share < RULES.own for share in before.values()):
+        return None  # however many voxels came to them
+    own = counted_voxels(*given) & measured
     counted = own | problem.counted
     now = surface_shares(counted, grid, mesh)
     if all(now[cell] - before[cell] < RULES.own for cell in before):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,6 +164,114 @@ def _all_seen(image: np.ndarray, mesh: Mesh, labels: Labels) -> bool:
     return bool(np.isfinite(image).any() and np.isin(mesh.region_ids(), labels).all())
 
 
+def protruding(image: np.ndarray, grid: Grid, mesh: Mesh, optics: Optics) -> np.ndarray:
+    """(Z, Y, X) bool: fins and fingers of cells whose surfaces lie close to the membranes.
+
+    As for :func:`counted_voxels`: they are thin, joined to a cell, and far from its dark inside.
+    """
+    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
+    surface = surface_voxels(mesh, grid)
+    if not (surface & np.isfinite(image)).any():
+        return np.zeros(grid.shape, bool)
+    seen = _Seen.of(image, grid, surface, labels, optics, RULES.near)
+    return seen.protrusions(seen.far_things())
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What starts see of an image, arrays (Z, Y, X); lengths in widths of the PSF.
+
+    Attributes
+    ----------
+    known, inside
+        Measured voxels; those within the starts.
+    labels
+        Regions of the starts, from 1 on.
+    pixels, haze
+        The image, smoothed, above the dark level; and what is as bright all around.
+    noise
+        Above this, it is no noise.
+    bright
+        What is neither noise nor haze and has its share of the brightness of a membrane.
+    crest
+        Above the dark level, of the nearest piece of surface, which is on a membrane.
+    membrane
+        Of a typical membrane, above the dark level.
+    spacing
+        (3,) of voxels.
+    own, reach
+        From the surfaces; and how far their own light comes.
+    """
+
+    known: Mask
+    inside: Mask
+    labels: Labels
+    pixels: NDArray[np.floating]
+    haze: NDArray[np.floating]
+    noise: float
+    bright: Mask
+    crest: NDArray[np.floating]
+    membrane: float
+    spacing: NDArray[np.floating]
+    own: NDArray[np.floating]
+    reach: float
+
+    @classmethod
+    def of(
+        cls,
+        image: np.ndarray,
+        grid: Grid,
+        surface: Mask,
+        labels: Labels,
+        optics: Optics,
+        explained: float,
+    ) -> Self:
+        """Of an image; explained : how far the light of a surface reaches at least."""
+        known, inside = np.isfinite(image), labels > 0
+        pixels = np.where(known, image, np.nanmedian(image)).astype(np.float32)
+        spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
+        doing()
+        pixels = gaussian_filter(pixels, RULES.smooth / spacing)
+        own, at = distance_transform_edt(~surface, sampling=spacing, return_indices=True)
+        doing()
+        pixels -= np.percentile(pixels[known], 20)
+        # The brightest voxel near each piece of surface is what a membrane looks like here.
+        membrane = float(np.percentile(pixels[(own < 1) & known], 60))
+        haze = minimum_filter(pixels, tuple(_across(RULES.haze / spacing)), mode="nearest")
+        haze = np.maximum(haze, 0)
+        # Beside a bright side of a cell its own image reaches further.
+        crest = maximum_filter(pixels, tuple(_across(1 / spacing)))[tuple(at)]
+        crest = np.maximum(crest, membrane)
+        noise = RULES.above * _noise(pixels[known])
+        doing()
+        bright = pixels - haze > np.maximum(RULES.bright * crest, noise)
+        reach = _reach(bright, own, known & ~inside, explained)
+        return cls(
+            known, inside, labels, pixels, haze, noise, bright, crest, membrane, spacing, own, reach
+        )
+
+    def far_things(self) -> Mask:
+        """What is bright where the light of the starts has ended."""
+        beyond = self.own - self.reach
+        # What lies in a cell is light of this cell, whatever it is.
+        far = self.bright & (beyond > 0) & ~self.inside & self.known
+        return far & ~_rims(far, beyond)
+
+    def protrusions(self, far: Mask) -> Mask:
+        """Those of them that are fins and fingers of the starts."""
+        around = self.known & ~self.inside
+        above = max(_crest(self.pixels, self.own, around, self.membrane), 1e-30)
+        height = np.where(self.known, self.pixels - self.haze, 0) / above
+        # What is missing dims what is smoothed beside it.
+        known, edge = self.known, 2 * RULES.smooth
+        sure = known.all() or distance_transform_edt(known, sampling=self.spacing) > edge
+        doing()
+        clear = self.bright & known & (height > RULES.bright)
+        starts, beyond = np.where(self.inside, self.labels, 0), self.own - self.reach
+        given = starts, beyond, height, known & sure, self.noise / above, self.spacing
+        return protrusions(far, clear, *given)
+
+
 def _shared_out(
     image: np.ndarray,
     grid: Grid,
@@ -175,46 +284,20 @@ def _shared_out(
     known, inside = np.isfinite(image), labels > 0
     if not (surface & known).any():
         return known
-    pixels = np.where(known, image, np.nanmedian(image)).astype(np.float32)
-    spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
-    doing()
-    pixels = gaussian_filter(pixels, RULES.smooth / spacing)
-    own, at = distance_transform_edt(~surface, sampling=spacing, return_indices=True)
-    doing()
-    dark = np.percentile(pixels[known], 20)
-    # The brightest voxel near each piece of surface is what a membrane looks like here.
-    membrane = np.percentile(pixels[(own < 1) & known], 60)
-    haze = minimum_filter(pixels, tuple(_across(RULES.haze / spacing)), mode="nearest") - dark
-    haze = np.maximum(haze, 0)
-    # Beside a bright side of a cell its own image reaches further.
-    crest = np.maximum(maximum_filter(pixels, tuple(_across(1 / spacing)))[tuple(at)], membrane)
-    least = np.maximum(RULES.bright * (crest - dark), RULES.above * _noise(pixels[known]))
-    bright = pixels - haze > dark + least
-    doing()
-    # What lies in a cell is light of this cell, whatever it is; that of strangers is theirs however
-    # near: half way to them, a fit still grew into what it could not see of them.
-    reach = _reach(bright, own, ~inside & known, explained)
-    beside = own <= reach
-    doing()
-    foreign = bright & ~beside & ~inside & known
-    foreign &= ~_rims(foreign, own - reach)
-    above = max(float(membrane - dark), 1e-30)
-    noise = RULES.above * _noise(pixels[known]) / above
-    height = np.where(known, pixels - haze - dark, 0) / above
-    # What is missing dims what is smoothed beside it.
-    sure = known.all() or distance_transform_edt(known, sampling=spacing) > 2 * RULES.smooth
-    doing()
-    foreign &= ~protrusions(
-        foreign, bright & known, inside, beside, height, known & sure, noise, spacing
-    )
+    seen = _Seen.of(image, grid, surface, labels, optics, explained)
+    own, reach, spacing = seen.own, seen.reach, seen.spacing
+    foreign = seen.far_things()
+    foreign &= ~seen.protrusions(foreign)
+    # Strangers are others' however near: half way to them, a fit still grew into what it could not
+    # see of them.
     foreign |= known & (labels == STRANGER)
     doing()
     if close:
-        shining = pixels - haze > dark + RULES.beside * (crest - dark)
-        strangers = known & without_start(shining, pixels - dark, labels, grid)
+        shining = seen.pixels - seen.haze > RULES.beside * seen.crest
+        strangers = known & without_start(shining, seen.pixels, labels, grid)
         doing()
         foreign, own, missed = without_missed(
-            image, grid, labels, pixels - dark, foreign | strangers, strangers, own, reach, spacing
+            image, grid, labels, seen.pixels, foreign | strangers, strangers, own, reach, spacing
         )
         doing()
         if missed.any():
@@ -225,6 +308,12 @@ def _shared_out(
         return known
     other = distance_transform_edt(~foreign, sampling=spacing)
     return known & ((own < other) | inside)
+
+
+def _crest(pixels: np.ndarray, own: np.ndarray, around: Mask, membrane: float) -> float:
+    """What a membrane looks like where starts may be too small and lie on its dark inner flank."""
+    shells = ((own >= w) & (own < w + 1) & around for w in range(1, int(RULES.explained)))
+    return float(max([membrane, *(np.percentile(pixels[s], 60) for s in shells if s.any())]))
 
 
 def _across(radius: np.ndarray) -> NDArray[np.signedinteger]:
