@@ -192,11 +192,12 @@ def test_steps_end_where_they_gain_too_little(monkeypatch, shares, stops):
 
 def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
     asked = []
-    for name in ("objective_instead", "tails_instead"):
+    kinds = ["tilt_instead", "objective_instead", "tails_instead"]
+    for name in kinds:
         answer = lambda *given, name=name: asked.append(name) or (None, 3)  # noqa: E731
         monkeypatch.setattr(f"napari_deltamic.fitting.successor.{name}", answer)
     spent = []
-    for tried, expected in [(0, 2), (1, 1), (2, 0)]:
+    for tried, expected in [(0, 3), (1, 2), (2, 1), (3, 0)]:
         asked.clear()
         spent.clear()
         run = SimpleNamespace(
@@ -209,12 +210,14 @@ def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
             spend=spent.append,
         )
         assert successor(run, True) == (None, False)
-        assert asked == ["objective_instead", "tails_instead"][2 - expected :]
+        assert asked == kinds[3 - expected :]
         assert spent == [3] * expected
 
 
 def test_a_fit_with_tails_goes_on_where_the_steps_ended(monkeypatch):
-    answers = {"objective_instead": (None, 3), "tails_instead": (Seen(TAILED), 3)}
+    tailed = Seen(TAILED), 3
+    nothing = dict.fromkeys(("tilt_instead", "objective_instead"), (None, 3))
+    answers = {**nothing, "tails_instead": tailed}
     for name, answer in answers.items():
         there = f"napari_deltamic.fitting.successor.{name}"
         monkeypatch.setattr(there, lambda *given, answer=answer: answer)

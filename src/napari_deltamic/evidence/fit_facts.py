@@ -190,10 +190,13 @@ def _widths(job: FitInput, state: FitState, images: _Images) -> dict[str, float]
     What is narrower than voxels can tell does not count, as voxels blur, too: for a stack of
     vesicles the spectrum gave 0.55 voxel along Z, and the PSF was 1.2.
     """
-    sigma, size = state.optics.sigma_um, job.grid.voxel_size
+    optics, size = state.optics, job.grid.voxel_size
+    tilted = isinstance(optics, GaussianPSF) and not optics.diagonal
+    # Beside its long axis, a tilted one passes sharper light than along the axes of the image.
+    sigma = optics.width() if tilted else optics.sigma_um
     told = first_sigma(images.seen, size)
     widths = {"across": (told.yx.value, max(sigma[1:]), max(size[1:]))}
-    if isinstance(state.optics, GaussianPSF):  # the spectrum tells less about a light cone
+    if isinstance(optics, GaussianPSF):  # the spectrum tells less about a light cone
         widths["along Z"] = told.z.value, sigma[0], size[0]
     found = {
         axis: float(value / of)

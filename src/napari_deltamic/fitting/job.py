@@ -117,7 +117,8 @@ def following(job: FitInput, state: FitState) -> FitInput:
     """The job of a fit that has begun anew, with another kind of PSF or other voxels; or itself."""
     if state.counted is not None and state.counted is not job.counted:
         job = replace(job, counted=state.counted)
-    if type(state.optics) is type(job.optics):
+    now, before = state.optics, job.optics
+    if type(now) is type(before) and now.diagonal == before.diagonal:
         return job
     scene = scene_with(job.settings.scene, state.optics)
     return replace(job.with_settings(scene=scene), optics=state.optics)

@@ -33,8 +33,8 @@ class Stage:
     begun_at
         The iteration before the first one with this kind of PSF: so it does then.
     psfs_tried
-        Kinds of PSF that explained less than this one: 1, that of an objective; 2, also one with
-        long tails.
+        Kinds of PSF that explained less than this one: 1, a tilted one; 2, also that of an
+        objective; 3, also one with long tails.
     """
 
     level_number: int

@@ -21,10 +21,12 @@ from .rivals.light_cone import (
     ANEW,
     GOES_ON,
     ThroughObjective,
+    is_plain,
     objective_instead,
     spherical_of,
 )
 from .rivals.psf_tails import HAS_TAILS, tails_instead
+from .rivals.psf_tilt import IS_TILTED, tilt_instead
 from .stage import Stage
 from .surface.topology import TopologyPolicy
 from .voxels.ground_again import ground_again
@@ -38,6 +40,10 @@ NARROW = "the new PSF is narrower than voxels can resolve: the fit goes back to 
 # Times what the former fit leaves: what is tried at rest does not make up for so much. Chosen;
 # measured on 6 scenes and 3 real stacks, it moved by at most 1.3 % from the first rest on.
 _BEHIND = 1.05
+
+
+# By definition in this order; see :attr:`.stage.Stage.psfs_tried`.
+_TILT, _OBJECTIVE, _TAILS = 1, 2, 3
 
 
 class Ending(Protocol):
@@ -88,18 +94,32 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
         return _on_ground(run, problem), False
     if former is not None:
         return None, False
-    if not run.stage.psfs_tried:
-        optics, taken = objective_instead(run.terms, run.fitted, run.objective.now.rendered)
+    given = run.terms, run.fitted, run.objective.now.rendered
+    if not (run.stage.psfs_tried or run.stage.edited):
+        tilted, taken = tilt_instead(*given)
+        run.spend(taken)
+        if tilted is not None:
+            run.say(IS_TILTED)
+            return _going_on(run, tilted, all_shines=True), False
+    if run.stage.psfs_tried < _OBJECTIVE:
+        optics, taken = objective_instead(*given)
         run.spend(taken)
         if optics is not None:
             return (None if run.stage.edited else _through(run, optics)), True
-    if run.stage.psfs_tried < 2 and not run.stage.edited:
-        tailed, taken = tails_instead(run.terms, run.fitted, run.objective.now.rendered)
+    if run.stage.psfs_tried < _TAILS and not run.stage.edited:
+        tailed, taken = tails_instead(*given)
         run.spend(taken)
         if tailed is not None:
             run.say(HAS_TAILS)
             return _going_on(run, tailed, all_shines=False), False
     return None, False
+
+
+def _tried(optics: Optics) -> int:
+    """Which kind of PSF it is that was tried in place of a Gaussian along the axes."""
+    if isinstance(optics, GaussianMixturePSF):
+        return _TAILS
+    return _TILT if isinstance(optics, GaussianPSF) else _OBJECTIVE
 
 
 def resumed(run: Run, kept: Arrays) -> Run:
@@ -112,7 +132,7 @@ def resumed(run: Run, kept: Arrays) -> Run:
     """
     problem = problem_in(kept, run.problem)
     run = run if problem is run.problem else run.on_ground(problem)
-    objective = objective_in(kept) if isinstance(run.fitted.optics, GaussianPSF) else None
+    objective = objective_in(kept) if is_plain(run.fitted.optics) else None
     if objective is None:
         run.go_on_from(kept)
         return run
@@ -191,6 +211,5 @@ def _back(run: Run, former: Run) -> Run | None:
     if not narrow and run.objective.leaves_over(former.posed_here()) <= 1:
         return None
     run.say(NARROW if narrow else BACK)
-    tried = 2 if isinstance(run.fitted.optics, GaussianMixturePSF) else 1
-    former.come_back(run.stage, tried)
+    former.come_back(run.stage, _tried(run.fitted.optics))
     return former

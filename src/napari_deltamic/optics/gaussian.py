@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, log, sqrt
+from math import atan2, copysign, degrees, inf, log, sqrt
 
 import numpy as np
 import torch
@@ -67,6 +67,15 @@ class GaussianPSF:
         """``sigma`` as plain numbers."""
         z, y, x = (float(s) for s in self.sigma.detach())
         return z, y, x
+
+    @property
+    def tilt(self) -> tuple[float, float]:
+        """Degrees by which the longest axis leans from Z towards Y and X; 0 along the axes."""
+        if self._diagonal:
+            return 0.0, 0.0
+        z, *across = torch.linalg.eigh(self.covariance.detach())[1][:, -1].tolist()
+        y, x = (degrees(atan2(copysign(1, z) * a, abs(z))) for a in across)
+        return y, x
 
     def width(self) -> tuple[float, float, float]:
         """Return widths (um) by axis: the OTF falls below t at ``sqrt(2 ln(1/t)) / width``."""
@@ -136,10 +145,17 @@ class GaussianPSF:
 
     def described(self) -> tuple[Parameter, ...]:
         """Describe every parameter with its unit, value and bounds."""
-        return tuple(
+        widths = [
             Parameter(f"sigma_{axis}", "um", f"standard deviation along {axis.upper()}",
                       value, 0.0, None, True, "")
             for axis, value in zip("zyx", self.sigma_um, strict=True)
+        ]  # fmt: skip
+        leans = [] if self._diagonal else zip("yx", self.tilt, strict=True)
+        about = "tilt of the longest axis from Z towards"
+        return *widths, *(
+            Parameter(f"tilt_{axis}", "degrees", f"{about} {axis.upper()}",
+                      value, -90.0, 90.0, True, "")
+            for axis, value in leans
         )  # fmt: skip
 
     def with_parameters(self, parameters: Tensor) -> GaussianPSF:

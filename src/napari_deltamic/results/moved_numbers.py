@@ -32,6 +32,10 @@ def moved_numbers(state: FitState, job: FitInput) -> list[MovedNumber]:
     if isinstance(state.optics, GaussianPSF):
         pairs = zip("zyx", job.optics.sigma_um, state.optics.sigma_um, strict=True)
         found += [MovedNumber(f"PSF, width along {a}", "µm", b, c) for a, b, c in pairs if b != c]
+        if not state.optics.diagonal:
+            given = job.optics.tilt if isinstance(job.optics, GaussianPSF) else (0.0, 0.0)
+            tilts = zip("YX", given, state.optics.tilt, strict=True)
+            found += [MovedNumber(f"PSF, tilt towards {a}", "°", b, c) for a, b, c in tilts]
     elif job.settings.fit.fit_psf:
         before = {p.name: p.value for p in job.optics.described()}
         found += [

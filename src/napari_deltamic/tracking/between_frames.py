@@ -14,6 +14,7 @@ from ..fitting.fit import fit
 from ..fitting.model.state import FitState
 from ..fitting.rivals.light_cone import confocal_of, widefield_of
 from ..fitting.rivals.psf_tails import core_and_tails
+from ..fitting.rivals.psf_tilt import of_any_axes
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF, Optics
 from ..runs.settings import FitSettings
@@ -116,7 +117,7 @@ class BetweenFrames:
         if isinstance(self.optics, GaussianPSF):  # a fit may have found another kind
             about = self.optics.sigma_um
             known += [widefield_of(about), confocal_of(about), core_and_tails(about)]
-            known += [widefield_of(about, 0.0), confocal_of(about, 0.0)]
+            known += [widefield_of(about, 0.0), confocal_of(about, 0.0), of_any_axes(self.optics)]
         same = []
         for optics in known:
             with suppress(InputError):  # where the numbers are of another kind

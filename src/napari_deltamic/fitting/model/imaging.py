@@ -160,7 +160,7 @@ def _equally_wide(optics: Optics) -> list[list[int]]:
     Those along Y and X; and of Gaussians of a mixture that are equally wide.
     """
     if isinstance(optics, GaussianPSF):
-        return [[1, 2]]
+        return [[1, 2]] if optics.diagonal else []
     if not isinstance(optics, GaussianMixturePSF):
         return []
     along_y = [name for name in optics.values if name.endswith("_y")]

@@ -5,23 +5,30 @@ from __future__ import annotations
 from typing import Any
 
 from ...common.triple import Triple
-from ...optics import ConfocalPSF, GaussianMixturePSF, Optics, ScalarPSF
+from ...optics import ConfocalPSF, GaussianMixturePSF, GaussianPSF, Optics, ScalarPSF
 from ...runs.optics_settings import MicroscopeOptics, MixtureOptics
 
-FoundPSF = ScalarPSF | ConfocalPSF | GaussianMixturePSF
+FoundPSF = ScalarPSF | ConfocalPSF | GaussianMixturePSF | GaussianPSF
 
 
 def values_of(optics: Optics) -> dict[str, Any] | None:
-    """What makes a PSF that a fit has found; None for one of another kind."""
-    if not isinstance(optics, FoundPSF):
+    """What makes a PSF that a fit has found; None for one of another kind.
+
+    A Gaussian is found where it is tilted.
+    """
+    if isinstance(optics, GaussianPSF):
+        return None if optics.diagonal else {"covariance": optics.covariance.detach().tolist()}
+    if not isinstance(optics, ScalarPSF | ConfocalPSF | GaussianMixturePSF):
         return None
-    values = {name: float(value.detach()) for name, value in optics.values.items()}
-    return {**values, "fitted": list(optics.fitted)}
+    numbers = {name: float(value.detach()) for name, value in optics.values.items()}
+    return {**numbers, "fitted": list(optics.fitted)}
 
 
 def psf_from(values: dict[str, Any]) -> FoundPSF:
     """The PSF that :func:`values_of` wrote."""
     values = dict(values)
+    if "covariance" in values:
+        return GaussianPSF(covariance=values["covariance"])
     fitted = values.pop("fitted")
     if "mass2" in values:
         widths, masses = _widths_and_masses(values)
@@ -34,7 +41,7 @@ def psf_from(values: dict[str, Any]) -> FoundPSF:
 
 def settings_of(optics: Optics) -> MicroscopeOptics | MixtureOptics | None:
     """The settings of a PSF that a fit has found; None for one of another kind."""
-    found = values_of(optics)
+    found = None if isinstance(optics, GaussianPSF) else values_of(optics)
     if found is None:
         return None
     fitted = tuple(found["fitted"])

@@ -170,7 +170,7 @@ def _where_to_begin(optics: Optics) -> float | None:
 
 def may_change(terms: Terms, fitted: Fitted) -> bool:
     """Whether a fit has fitted a Gaussian PSF, in place of which there may be another kind."""
-    if not (_is_plain(fitted.optics) and _is_plain(fitted.first_optics)):
+    if not (is_plain(fitted.optics) and is_plain(fitted.first_optics)):
         return False
     return terms.settings.fit_psf and terms.second is None
 
@@ -262,7 +262,8 @@ def _as_wide(sigma: Sequence[float]) -> tuple[float, float]:
     return sine * _INDEX, float(np.clip(wavelength, *_OF_LIGHT))
 
 
-def _is_plain(optics: Optics) -> bool:
+def is_plain(optics: Optics) -> bool:
+    """Whether it is a Gaussian along the axes, which a fit may replace."""
     return isinstance(optics, GaussianPSF) and optics.diagonal
 
 

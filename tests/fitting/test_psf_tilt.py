@@ -1,0 +1,98 @@
+"""A fit whose image shows a tilted PSF goes on with a Gaussian along other axes."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+import napari_deltamic as nd
+from napari_deltamic.fitting.job import FitInput, following
+from napari_deltamic.fitting.model.imaging import Imaging
+from napari_deltamic.fitting.rivals.found_psf import psf_from, values_of
+from napari_deltamic.fitting.rivals.psf_tilt import of_any_axes, tilt_of
+from napari_deltamic.geometry import sphere
+from napari_deltamic.measure.surface_distance import distance_to_surface
+from napari_deltamic.results.moved_numbers import moved_numbers
+from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
+from napari_deltamic.scene.effects import Effects
+
+GRID = nd.Grid((28, 32, 40), (0.3, 0.15, 0.15))
+MIDDLE = (4.2, 2.4, 3.0)
+TRUE = sphere(MIDDLE, 1.5, edge_length=0.2)
+START = sphere(MIDDLE, 1.4, edge_length=0.3)
+ALONG = nd.GaussianPSF((0.35, 0.2, 0.2))
+
+
+def turned(degrees, long=0.6, across=0.16):
+    """A Gaussian whose long axis is turned from Z towards X."""
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    axes = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    return nd.GaussianPSF(covariance=axes.T @ np.diag([long, across, across]) ** 2 @ axes)
+
+
+def image(optics):
+    clean = nd.render(TRUE, GRID, optics, 1e-3).numpy()
+    drawn = np.random.default_rng(0).poisson(4 + 60 * clean / clean.max())
+    return drawn.astype(np.float32)
+
+
+@cache
+def last(degrees):
+    settings = FitSettings(structure="membrane")
+    *_, state = nd.fit(image(turned(degrees)), GRID, START, ALONG, settings=settings)
+    return state
+
+
+def off(state):
+    """Voxel sides in the plane; mean over the true surface."""
+    return np.mean(distance_to_surface(TRUE.vertices_numpy(), state.mesh)) / 0.15
+
+
+@pytest.mark.parametrize("degrees", [35, -30])
+def test_a_tilted_psf_is_found(degrees):
+    state = last(degrees)
+    found = state.optics.covariance
+    assert not state.optics.diagonal
+    assert torch.allclose(found, turned(degrees).covariance, atol=0.02)
+    assert off(state) < 0.15
+
+
+def test_one_along_the_axes_stays_along_them():
+    state = last(0)
+    assert not isinstance(state.optics, nd.GaussianPSF) or state.optics.diagonal
+
+
+def test_the_fit_says_so_and_its_settings_hold_it():
+    state, scene = last(35), SceneSettings(voxel_size=GRID.voxel_size, sigma=ALONG.sigma_um)
+    settings = RunSettings(image="", scene=scene, seeds="")
+    job = FitInput(settings, image(turned(35)), GRID, START, ALONG, None)
+    again = following(job, state)
+    assert not again.optics.diagonal
+    assert torch.allclose(again.settings.scene.optics.build().covariance, state.optics.covariance)
+    named = {number.name: number.now for number in moved_numbers(state, job)}
+    assert named["PSF, tilt towards X"] == pytest.approx(35, abs=3)
+    assert named["PSF, tilt towards Y"] == pytest.approx(0, abs=3)
+
+
+def test_where_it_began_comes_back_from_plain_values():
+    optics = turned(20)
+    assert torch.equal(psf_from(values_of(optics)).covariance, optics.covariance)
+    assert values_of(ALONG) is None
+
+
+def test_the_axes_of_one_may_turn_freely():
+    """Widths across are held alike only along the axes of the image."""
+    along, free = (
+        Imaging(psf, Effects(), psf, True, False).prior_curvature()
+        for psf in (ALONG, of_any_axes(ALONG))
+    )
+    assert along[1, 2] != 0
+    assert free[1, 2] == 0
+    assert (free[3:] == 0).all()
+
+
+def test_how_tilted():
+    assert tilt_of(ALONG) == pytest.approx(0)
+    assert tilt_of(of_any_axes(ALONG)) == pytest.approx(0)
+    assert tilt_of(turned(45, 0.6, 0.2)) == pytest.approx((0.36 - 0.04) / (0.36 + 0.04))
