@@ -36,9 +36,9 @@ def image():
     return drawn.astype(np.float32)
 
 
-def begun(**further):
+def begun(optics=ABOUT, **further):
     settings = FitSettings(structure="interior")
-    return nd.fit(image(), GRID, START, ABOUT, settings=settings, **further)
+    return nd.fit(image(), GRID, START, optics, settings=settings, **further)
 
 
 @pytest.fixture(autouse=True)
@@ -78,10 +78,13 @@ def test_a_fit_goes_on_with_a_core_and_tails():
     assert max(across) < 1.01 * min(across)
 
 
-def test_a_checkpoint_goes_on_with_a_core_and_tails(tmp_path):
+@pytest.mark.parametrize("own", [False, True])
+def test_a_checkpoint_goes_on_with_a_core_and_tails(tmp_path, own):
+    """Also with settings that hold the PSF as it was then, as a run that was ended writes them."""
     first = [type(state.optics) for state in states()].index(nd.GaussianMixturePSF)
-    states()[first + 5].save(tmp_path / "state.npz")
-    *_, resumed = begun(resume=tmp_path / "state.npz")
+    kept = states()[first + 5]
+    kept.save(tmp_path / "state.npz")
+    *_, resumed = begun(kept.optics if own else ABOUT, resume=tmp_path / "state.npz")
     assert isinstance(resumed.optics, nd.GaussianMixturePSF)
     assert resumed.iteration == states()[-1].iteration
     np.testing.assert_allclose(

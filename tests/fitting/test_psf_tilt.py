@@ -37,11 +37,18 @@ def image(optics):
     return drawn.astype(np.float32)
 
 
-@cache
-def last(degrees):
+def begun(degrees, optics=ALONG, **further):
     settings = FitSettings(structure="membrane")
-    *_, state = nd.fit(image(turned(degrees)), GRID, START, ALONG, settings=settings)
-    return state
+    return nd.fit(image(turned(degrees)), GRID, START, optics, settings=settings, **further)
+
+
+@cache
+def states(degrees):
+    return list(begun(degrees))
+
+
+def last(degrees):
+    return states(degrees)[-1]
 
 
 def off(state):
@@ -73,6 +80,19 @@ def test_the_fit_says_so_and_its_settings_hold_it():
     named = {number.name: number.now for number in moved_numbers(state, job)}
     assert named["PSF, tilt towards X"] == pytest.approx(35, abs=3)
     assert named["PSF, tilt towards Y"] == pytest.approx(0, abs=3)
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_a_checkpoint_goes_on_with_it(tmp_path, own):
+    """Also with settings that hold the PSF as it was then, as a run that was ended writes them."""
+    first = [state.optics.diagonal for state in states(35)].index(False)
+    kept = states(35)[first + 5]
+    kept.save(tmp_path / "state.npz")
+    *_, resumed = begun(35, kept.optics if own else ALONG, resume=tmp_path / "state.npz")
+    assert resumed.iteration == last(35).iteration
+    np.testing.assert_allclose(
+        resumed.mesh.vertices_numpy(), last(35).mesh.vertices_numpy(), atol=1e-6
+    )
 
 
 def test_where_it_began_comes_back_from_plain_values():

@@ -16,7 +16,7 @@ from ..runs.fit_settings import validated
 from ..scene.effects import Effects
 from .model.fitted import Arrays, Fitted, other_settings
 from .model.problem import Problem
-from .rivals.found_psf import FoundPSF, psf_from, values_of
+from .rivals.found_psf import FoundPSF, held_of, psf_from, values_of
 from .stage import Stage
 from .surface.topology import TopologyPolicy
 from .voxels.ground_again import with_ground
@@ -118,7 +118,8 @@ class Checkpoint:
         if "dimmed" in found and not self._are_nuclei(found["dimmed"]):
             raise InputError("the checkpoint is damaged: its nuclei are of another image")
         plain: dict[str, Any] = json_values(str(found["run"]))
-        if plain["objective"] != values_of(self.fitted.first_optics):
+        # Where the PSF began is of the checkpoint: settings may hold where it has come to.
+        if held_of(plain["objective"]) != held_of(values_of(self.fitted.first_optics)):
             raise other_settings()
         if plain["density"] != self.density:
             raise other_settings()

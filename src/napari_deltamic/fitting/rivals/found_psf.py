@@ -24,6 +24,14 @@ def values_of(optics: Optics) -> dict[str, Any] | None:
     return {**numbers, "fitted": list(optics.fitted)}
 
 
+def held_of(values: dict[str, Any] | None) -> dict[str, Any] | None:
+    """What a fit does not move of them, by name; what it moves has no number."""
+    if values is None:
+        return None
+    moved = values.get("fitted", ["covariance"])
+    return {name: None if name in moved else value for name, value in values.items()}
+
+
 def psf_from(values: dict[str, Any]) -> FoundPSF:
     """The PSF that :func:`values_of` wrote."""
     values = dict(values)
