@@ -103,9 +103,10 @@ def _psf(scene: Scene, folder: Path) -> list[str]:
     microscope, across = scene.recipe.microscope, scene.recipe.psf[1] * scene.voxel_size[2]
     if not microscope:
         return ["--sigma", *map(str, scene.sigma)]
-    if scene.recipe.aberrated:
+    if scene.recipe.aberrated or scene.recipe.leaning:
         field = Field(scene.recipe.shape, scene.voxel_size)
-        point = point_spread(microscope, field, across, scene.recipe.aberrated)
+        how = scene.recipe.aberrated, scene.recipe.leaning
+        point = point_spread(microscope, field, across, *how)
         tifffile.imwrite(folder / "psf.tif", point.astype(np.float32))
         return ["--psf", str(folder / "psf.tif"), "--psf-voxel-size", *map(str, field.fine_size)]
     wave = f"{wavelength(microscope, across):.4f}"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import affine_transform, gaussian_filter
 from scipy.signal import fftconvolve
 
 from napari_deltamic import Mesh
@@ -22,7 +22,8 @@ FINE = 3  # fine voxels along a voxel
 _PER_VOXEL = 3.0  # points of a surface that fall into a fine voxel that it crosses
 APERTURE, WATER = 1.2, 1.33  # of the microscopes
 # Standard deviation in the plane, in wavelengths / NA.
-_ACROSS = {"widefield": 0.22, "confocal": 0.216}
+_ACROSS = {"widefield": 0.22, "sheet": 0.22, "confocal": 0.216}
+_SHEET = 3.0  # standard deviation of a light sheet, of that of the PSF in the plane
 _PINHOLE = 0.61  # radius, wavelengths / NA: one Airy unit across
 
 
@@ -160,20 +161,28 @@ def wavelength(microscope: str, across: float) -> float:
 
 
 def seen_by(
-    microscope: str, light: Array, field: Field, across: float, aberrated: float = 0.0
+    microscope: str,
+    light: Array,
+    field: Field,
+    across: float,
+    aberrated: float = 0.0,
+    leaning: float = 0.0,
 ) -> Array:
     """The stack without noise, by a microscope; see :func:`point_spread`."""
-    point = point_spread(microscope, field, across, aberrated)
+    point = point_spread(microscope, field, across, aberrated, leaning)
     return np.maximum(field.binned(fftconvolve(light, point, "same")), 0)
 
 
-def point_spread(microscope: str, field: Field, across: float, aberrated: float = 0.0) -> Array:
+def point_spread(
+    microscope: str, field: Field, across: float, aberrated: float = 0.0, leaning: float = 0.0
+) -> Array:
     """The PSF on fine voxels, of unit sum, of a microscope, as wide in the plane (um) as asked.
 
     Its field is summed over the pupil plane by plane (scalar theory); of a confocal one, light that
     excites has the wavelength of that which is detected.
 
     aberrated : rad, root mean square over the pupil, of primary spherical aberration.
+    leaning : degrees from Z towards X, of the axis of the objective, as in a deskewed stack.
     """
     wave = wavelength(microscope, across)
     depth, *plane = (n // 2 * 2 + 1 for n in field.fine_shape)
@@ -192,10 +201,23 @@ def point_spread(microscope: str, field: Field, across: float, aberrated: float 
         )
         pinhole = (y[:, None] ** 2 + x**2 <= (_PINHOLE * wave / APERTURE) ** 2).astype(float)
         point = point * np.stack([fftconvolve(one, pinhole, "same") for one in point])
+    if microscope == "sheet":
+        point *= np.exp(-0.5 * (focus / (_SHEET * across)) ** 2)[:, None, None]
+    if leaning:
+        point = _turned(point, field, np.deg2rad(leaning))
     # Aberrations move the focus: where it is, is where the stage says.
     brightest = int(point.max((1, 2)).argmax())
     result: Array = np.roll(point, depth // 2 - brightest, 0) / point.sum()
     return result
+
+
+def _turned(point: Array, field: Field, angle: float) -> Array:
+    """A PSF whose axis leans by an angle (rad) from Z towards X."""
+    c, s = np.cos(angle), np.sin(angle)
+    back = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])  # from there to where it stood upright
+    step = back * field.fine_size / field.fine_size[:, None]
+    middle = np.asarray(point.shape) // 2
+    return np.maximum(affine_transform(point, step, middle - step @ middle, order=3), 0)
 
 
 def effective_sigma(field: Field, sigma: tuple[float, float, float]) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 SeedKind = Literal["labels", "spheres", "points", "mesh", "auto"]
-Microscope = Literal["", "widefield", "confocal"]
+Microscope = Literal["", "widefield", "confocal", "sheet"]
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class Recipe:
     psf: tuple[float, float] = (1.2, 1.2)  # standard deviation along Z (of its voxels) and in plane
     microscope: Microscope = ""  # of NA 1.2 in water, as wide in plane; else the PSF is a Gaussian
     aberrated: float = 0.0  # rad, root mean square, of spherical aberration of that microscope
+    leaning: float = 0.0  # degrees from Z towards X, of its axis
     photons: float = 60.0
     dark: float = 6.0
     membrane: float = 1.0
@@ -376,6 +377,16 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
     "aberrated-widefield": lambda rng: _flat_voxels(
         rng, "widefield", aberrated=rng.uniform(0.4, 0.8), shape=(30, 48, 48)
     ),
+    "leaning": lambda rng: _flat_voxels(
+        rng, "sheet", leaning=rng.choice([-1, 1]) * rng.uniform(25, 45), shape=(34, 44, 44)
+    ),
+    "leaning-nuclei": lambda rng: _crowd(
+        rng,
+        membrane=0.0,
+        interior=1.0,
+        microscope="sheet",
+        leaning=rng.choice([-1, 1]) * rng.uniform(25, 45),
+    ),
     "aberrated-nuclei": lambda rng: _crowd(
         rng,
         membrane=0.0,
@@ -455,6 +466,8 @@ WORDS = {
     "confocal-nuclei": "eight nuclei, confocal",
     "aberrated": "a membrane, confocal with spherical aberration",
     "aberrated-widefield": "a membrane, widefield with spherical aberration",
+    "leaning": "a membrane in a deskewed light sheet, whose PSF leans",
+    "leaning-nuclei": "eight nuclei in such a sheet",
     "aberrated-nuclei": "eight nuclei, confocal with spherical aberration",
     "confluent": "cells that fill the stack, labelled",
     "mixed": "all of these at once, cells of 10 to 52 voxels",

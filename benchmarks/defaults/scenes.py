@@ -105,7 +105,8 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
         deep = (np.arange(space.fine_shape[0]) / FINE - space.rim) / recipe.shape[0]
         light *= (recipe.fading**deep)[:, None, None]
     if recipe.microscope:
-        clean = seen_by(recipe.microscope, light, space, sigma[2], recipe.aberrated)
+        how = recipe.aberrated, recipe.leaning
+        clean = seen_by(recipe.microscope, light, space, sigma[2], *how)
     else:
         clean = imaged(light, space, sigma)
     if recipe.specks:

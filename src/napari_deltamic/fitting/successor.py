@@ -46,6 +46,12 @@ _BEHIND = 1.05
 _TILT, _OBJECTIVE, _TAILS = 1, 2, 3
 
 
+# Times what the former fit leaves: slanted shapes and light inside can make up for a tilt, so a fit
+# with one that leaves as much stays. Chosen; measured: 1.0006 in a cell that such a fit ended 0.07
+# voxel off, and 0.37 without it.
+_AS_MUCH = 1.005
+
+
 class Ending(Protocol):
     """What is asked of a :class:`~.run.Run` at its end."""
 
@@ -208,7 +214,8 @@ def _became_narrow(run: Ending, former: Ending) -> bool:
 def _back(run: Run, former: Run) -> Run | None:
     """The fit before, where its end explains more, or this one's PSF cannot be; None else."""
     narrow = _became_narrow(run, former)
-    if not narrow and run.objective.leaves_over(former.posed_here()) <= 1:
+    most = _AS_MUCH if _tried(run.fitted.optics) == _TILT else 1.0
+    if not narrow and run.objective.leaves_over(former.posed_here()) <= most:
         return None
     run.say(NARROW if narrow else BACK)
     former.come_back(run.stage, _tried(run.fitted.optics))
