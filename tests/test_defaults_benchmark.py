@@ -121,3 +121,15 @@ def test_an_aberrated_focus_is_where_the_stage_says():
     np.testing.assert_allclose(sharp, sharp[::-1], atol=1e-6 * sharp.max())
     assert aberrated.max() < 0.9 * sharp.max()
     assert np.abs(aberrated - aberrated[::-1]).max() > 0.1 * aberrated.max()
+
+
+@pytest.mark.parametrize("leaning", [0.0, 30.0, -40.0])
+def test_the_axis_of_a_leaning_sheet_leans_as_told(leaning):
+    point = imaging.point_spread("sheet", FIELD, 0.24, leaning=leaning)
+    assert point.sum() == pytest.approx(1)
+    axes = [(np.arange(n) - n // 2) * d for n, d in zip(point.shape, FIELD.fine_size, strict=True)]
+    bright = np.where(point > 0.1 * point.max(), point, 0)
+    z, _, x = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
+    spread = np.cov(np.stack([z, x]), aweights=bright.ravel())
+    long = np.linalg.eigh(spread)[1][:, -1]
+    assert np.rad2deg(np.arctan(long[1] / long[0])) == pytest.approx(leaning, abs=2)
