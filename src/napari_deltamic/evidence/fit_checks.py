@@ -24,10 +24,14 @@ def _unfinished(fit: Facts) -> Reason | None:
     return Reason("unfinished", "poor", text)
 
 
+def _nothing(fit: Facts) -> Reason | None:
+    if fit.explained is not None:
+        return None
+    text = "nothing around the surfaces is brighter or darker than noise"
+    return Reason("nothing", "poor", text)
+
+
 def _explained(fit: Facts) -> Reason | None:
-    if fit.explained is None:
-        text = "nothing around the surfaces is brighter or darker than noise"
-        return Reason("nothing", "poor", text)
     return unexplained(fit.explained, RULES.good, RULES.fair, "the surfaces")
 
 
@@ -147,13 +151,16 @@ def _nuclei(fit: Facts) -> Reason | None:
     return Reason("nuclei", "fair", f"{text} (try --structure membrane)")
 
 
-FIT_CHECKS: tuple[FitCheck, ...] = (
-    _unfinished,
-    _explained,
+# Of these, cells tell themselves how well they are explained and how far they may still move; and
+# dim cells are not saturated.
+FIT_CHECKS: tuple[FitCheck, ...] = (_unfinished, _explained, _saturated)
+# Doubts about what all cells share: the PSF, the image, the model, and what is labelled. If one is
+# right, each surface may lie too far in or out.
+SHARED_CHECKS: tuple[FitCheck, ...] = (
+    _nothing,
     _widths,
     _cone,
     _narrow,
-    _saturated,
     _compressed,
     _shifted,
     _flicker,
@@ -162,6 +169,7 @@ FIT_CHECKS: tuple[FitCheck, ...] = (
     _followed,
     _oblong,
     _coarse,
+    _unsure,
+    _alone,
+    _nuclei,
 )
-# Doubts about what is labelled: if that is wrong, all surfaces lie further in or out.
-STRUCTURE_CHECKS: tuple[FitCheck, ...] = (_unsure, _alone, _nuclei)

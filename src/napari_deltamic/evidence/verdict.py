@@ -17,7 +17,7 @@ from ..common.words import joined
 from ..geometry.judgement import Judgement
 from .cell_checks import CELL_CHECKS
 from .facts import CellFacts, Facts
-from .fit_checks import FIT_CHECKS, STRUCTURE_CHECKS
+from .fit_checks import FIT_CHECKS, SHARED_CHECKS
 from .predicted_error import PredictedError
 from .reason import GRADES, Grade, Reason, texts, worst
 from .verdict_rules import RULES
@@ -93,10 +93,10 @@ def judged(facts: Facts) -> Verdict:
     """The verdict that follows from facts.
 
     The worse grade counts once at least half of the cells have it, so that one bad cell does not
-    spoil the rest; reasons that concern the whole fit lower it, too. Doubts about what is labelled
-    are doubts about each cell as well.
+    spoil the rest; reasons that concern the whole fit lower it, too. Doubts about what all cells
+    share, such as the PSF or what is labelled, are doubts about each cell as well.
     """
-    doubts = [found for check in STRUCTURE_CHECKS if (found := check(facts))]
+    doubts = [found for check in SHARED_CHECKS if (found := check(facts))]
     reasons = [*(found for check in FIT_CHECKS if (found := check(facts))), *doubts]
     cells = [_of_cell(cell, facts, len(reasons)) for cell in facts.cells]
     grade = worst(reason.grade for reason in reasons)
@@ -111,7 +111,7 @@ def judged(facts: Facts) -> Verdict:
         else:
             text = f"{_named(bad)} {'are' if len(bad) > 1 else 'is'} {word} ({_usual_reason(bad)})"
             reasons.append(Reason("cells", word, text))
-    doubted = tuple(_doubted(cell, doubts) for cell in cells)
+    doubted = tuple(_because(cell, doubts) for cell in cells)
     return Verdict(grade, tuple(reasons), doubted, facts.error)
 
 
@@ -120,15 +120,15 @@ def _of_cell(cell: CellFacts, facts: Facts, others: int) -> CellVerdict:
     found = [reason for check in CELL_CHECKS if (reason := check(cell, facts))]
     if len(found) + others >= RULES.doubts:
         found.append(Reason("doubts", "poor", _MANY))
-    found.sort(key=lambda one: -GRADES.index(one.grade))  # what weighs most comes first
     predicted = facts.error.cells.get(cell.region)
     error = None if predicted is None else predicted.total
-    return CellVerdict(cell.region, worst(one.grade for one in found), tuple(found), error)
+    return _because(CellVerdict(cell.region, "good", (), error), found)
 
 
-def _doubted(cell: CellVerdict, doubts: Sequence[Reason]) -> CellVerdict:
-    grade = worst((cell.grade, *(doubt.grade for doubt in doubts)))
-    return replace(cell, grade=grade, reasons=(*cell.reasons, *doubts))
+def _because(cell: CellVerdict, more: Sequence[Reason]) -> CellVerdict:
+    """A cell with more reasons, of which what weighs most comes first."""
+    reasons = sorted((*cell.reasons, *more), key=lambda one: -GRADES.index(one.grade))
+    return replace(cell, grade=worst(one.grade for one in reasons), reasons=tuple(reasons))
 
 
 def _usual_reason(cells: Sequence[CellVerdict]) -> str:
