@@ -109,7 +109,10 @@ def judged(facts: Facts) -> Verdict:
         if len(cells) == 1:
             reasons += [r for r in cells[0].reasons if r.text not in texts(reasons)]
         else:
-            text = f"{_named(bad)} {'are' if len(bad) > 1 else 'is'} {word} ({_usual_reason(bad)})"
+            alike = GRADES.index(worst(doubt.grade for doubt in doubts)) >= GRADES.index(word)
+            are = "are" if len(bad) > 1 else "is"
+            said = f"would be {word} even without that" if alike else f"{are} {word}"
+            text = f"{_named(bad)} {said} ({_usual_reason(bad)})"
             reasons.append(Reason("cells", word, text))
     doubted = tuple(_because(cell, doubts) for cell in cells)
     return Verdict(grade, tuple(reasons), doubted, facts.error)
