@@ -100,6 +100,11 @@ def test_what_concerns_all(change, grade, word):
             "more than its light, brightest at (1.0,",
         ),
         ({"left_out": (0.03, (1, 2, 3))}, "good", "good"),
+        (
+            {"enclosed": 7.05},
+            "fair",
+            "a membrane 7 times as bright encloses it: is its label that of the nucleus?",
+        ),
         ({"growth": 5.0}, "fair", "swallowed"),
         ({"growth": 0.05}, "poor", "shrunk"),
         ({"point": True}, "poor", "shrunk to a point"),
@@ -348,9 +353,10 @@ def test_facts_of_a_fit(monkeypatch):
     monkeypatch.setattr(fit_facts, "left_out", lambda *given: {cell.region: beside})
     inside = replace(state, light=Light(membrane=0.0, interior=1.0))
     both = replace(state, light=Light(membrane=1.0, interior=1.0))
-    for lit, told in ((state, None), (inside, beside), (both, None)):
+    monkeypatch.setattr(fit_facts, "enclosing_membranes", lambda *given: {cell.region: 4.0})
+    for lit, told, around in ((state, None, 4.0), (inside, beside, None), (both, None, 4.0)):
         found = facts_of(job, lit, analyse_residual(image, grid, state))
-        assert found.cells[0].left_out == told
+        assert (found.cells[0].left_out, found.cells[0].enclosed) == (told, around)
     assert cell.slices == pytest.approx(3.0 / size[0], rel=0.02)
     middle, places = np.full(3, 2.3), state.mesh.vertices_numpy()
     small = replace(state, mesh=state.mesh.with_vertices(middle + 0.1 * (places - middle)))

@@ -86,6 +86,13 @@ def _left_out(cell: CellFacts, fit: Facts) -> Reason | None:
     return Reason("left out", "fair", f"{text} no cell: are they arms of it?")
 
 
+def _enclosed(cell: CellFacts, fit: Facts) -> Reason | None:
+    if cell.enclosed is None:
+        return None
+    text = f"a membrane {cell.enclosed:.2g} times as bright encloses it: is its label that of the"
+    return Reason("enclosed", "fair", f"{text} nucleus?")
+
+
 def _inside(cell: CellFacts, fit: Facts) -> Reason | None:
     if cell.inside is None or not abs(cell.inside) > RULES.inside:
         return None
@@ -205,6 +212,7 @@ CELL_CHECKS: tuple[CellCheck, ...] = (
     _explained,
     _stray,
     _left_out,
+    _enclosed,
     _inside,
     _medium,
     _crumpled,

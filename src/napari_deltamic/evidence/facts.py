@@ -67,6 +67,10 @@ class CellFacts:
         Light of bright parts beside it that belong to no cell, over its own, and where they are
         brightest, um, Z Y X (:func:`~.left_out.left_out`); None without any, or where membranes
         shine, as those of neighbours without a label would.
+    enclosed
+        How many times as bright as its surface a membrane is that encloses it and belongs to no
+        cell (:func:`~.enclosing.enclosing_membranes`); None without one, or where only insides
+        shine.
     slices
         Its height along Z in slices; infinite where a second view shows that direction, too.
     crowded
@@ -98,6 +102,7 @@ class CellFacts:
     fold: Place | None = None
     unseen_wall: int | None = None
     left_out: tuple[float, Place] | None = None
+    enclosed: float | None = None
 
 
 @dataclass(frozen=True)

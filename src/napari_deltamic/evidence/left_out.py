@@ -106,7 +106,7 @@ def left_out(
     rest = np.where(known, seen - shown, 0.0).astype(np.float32)
     smooth = gaussian_filter(rest, RULES.smooth / spacing)
     dimmest = min(cell.inside for cell in cells.values())
-    bright = outside & (smooth > max(RULES.bright * dimmest, _noise(smooth[known & outside])))
+    bright = outside & (smooth > max(RULES.bright * dimmest, noise_beside(smooth[known & outside])))
     box = _around_touching(bright, ~outside, boxes, spacing)
     if box is None:
         return {}
@@ -143,7 +143,7 @@ def _cell(own: Mask, light: NDArray[np.floating], spacing: NDArray[np.floating])
     return _Cell(max(float(light[depth > deepest / 2].mean()), 0.0), deepest)
 
 
-def _noise(beside: NDArray[np.floating]) -> float:
+def noise_beside(beside: NDArray[np.floating]) -> float:
     """Brightness above noise, judged by the darker half of the voxels beside cells."""
     low, middle = np.percentile(beside, (OWNERSHIP.low, 50))
     return RULES.above * float(middle - low) / OWNERSHIP.deviation
