@@ -97,7 +97,8 @@ def _inside(cell: CellFacts, fit: Facts) -> Reason | None:
     if cell.inside is None or not abs(cell.inside) > RULES.inside:
         return None
     where = "inside it" if cell.inside > 0 else "around it"
-    text = f"light {where}, {abs(cell.inside):.0%} as bright as its surface, is not in the model"
+    much = f"{abs(cell.inside):.0%} as bright as" if abs(cell.inside) < 1 else "brighter than"
+    text = f"light {where}, {much} its surface, is not in the model"
     return Reason("inside", "fair", f"{text} (--structure both)")
 
 
