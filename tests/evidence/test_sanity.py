@@ -97,6 +97,16 @@ def test_time_taken_for_depth():
     assert kinds(rng.poisson(np.clip(frames, 0.1, None))) == ["time"]
 
 
+def test_a_single_slice():
+    image = membrane()
+    alone = np.arange(len(image))[:, None, None] == 15
+    for one in (image[15:16], np.where(alone, image, 0), np.where(alone, image, np.nan)):
+        (doubt,) = doubts(one, VOXEL, SEEDS)
+        assert doubt.kind == "slices"
+        assert "does not tell how high cells are" in doubt.sentence
+    assert kinds(image[14:16], seeds=SEEDS) == []
+
+
 def test_images_that_hardly_are_some_raise_nothing():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

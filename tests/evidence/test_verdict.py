@@ -76,6 +76,7 @@ def test_a_fit_without_fault_is_good():
         ({"sharpened": True}, "fair", "looks deconvolved"),
         ({"accuracy": 0.1}, "fair", "rendered with an error of 10%"),
         ({"accuracy": 0.02}, "good", "good"),
+        ({"single": True}, "poor", "only one slice holds an image, which does not tell how high"),
     ],
 )
 def test_what_concerns_all(change, grade, word):
@@ -113,7 +114,12 @@ def test_what_concerns_all(change, grade, word):
         ({"crowded": True}, "fair", "several points lie in it"),
         ({"cut": True}, "fair", "border"),
         ({"inside": 0.4}, "fair", "light inside"),
-        ({"inside": -0.4}, "fair", "light around"),
+        ({"inside": -0.4}, "fair", "light around it, 40% as bright as its surface, is not in"),
+        (
+            {"inside": 3e30},
+            "fair",
+            "light inside it, brighter than its surface, is not in the model",
+        ),
         ({"medium": 0.05}, "fair", "its inside is darker than the medium, but it is not"),
         ({"medium": 0.97}, "good", "good"),
         ({"compact": 0.4}, "fair", "crumpled"),
@@ -229,7 +235,8 @@ def test_a_doubt_about_what_cells_share_is_one_about_each_cell(kind, change):
 
 
 @pytest.mark.parametrize(
-    "change", [{"widths": {"across": 0.4}}, {"followed": 0.3}, {"explained": None}]
+    "change",
+    [{"widths": {"across": 0.4}}, {"followed": 0.3}, {"explained": None}, {"single": True}],
 )
 def test_where_what_they_share_is_poor_each_cell_is_and_that_comes_first(change):
     cells = CellFacts(1, 0.95), CellFacts(2, 0.95, stray=0.4)
@@ -306,7 +313,7 @@ def test_facts_of_a_fit(monkeypatch):
     assert facts.slices.brightness < 0.02
     assert not facts.sharpened
     assert facts.dome == 0
-    assert (facts.oblong, facts.followed) == (None, None)
+    assert (facts.oblong, facts.followed, facts.single) == (None, None, False)
     # The errors of other states, which take longest, are looked at further below.
     monkeypatch.setattr(fit_facts, "predicted_error", lambda *given: facts.error)
     wide = replace(job, grid=nd.Grid(shape, (0.2, 0.2, 0.4)))
@@ -364,6 +371,11 @@ def test_facts_of_a_fit(monkeypatch):
     hidden = image.copy()
     hidden[:, :, 12:] = np.nan
     half = facts_of(replace(job, image=hidden), state, analyse_residual(hidden, grid, state))
+    one = np.where(np.arange(shape[0])[:, None, None] == 11, image, np.nan)
+    one_job = replace(job, image=one)
+    single = facts_of(one_job, state, analyse_residual(one, grid, state))
+    assert (single.single, single.error.whole) == (True, None)
+    assert judged(single).sentence().startswith("poor: ")
     assert half.cells[0].seen == pytest.approx(0.5, abs=0.05)
     assert facts.error.unknown == ""
     # Of 200 photons and a surface of 0.2 um voxels: a few nm, and nothing that it lacks.

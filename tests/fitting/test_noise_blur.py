@@ -41,10 +41,17 @@ def test_what_is_missing_does_not_count() -> None:
 
 
 @pytest.mark.parametrize("left", [WHITE[:5, :5, :5], np.zeros((20, 20, 20)), WHITE * np.nan])
-@pytest.mark.filterwarnings("ignore:All-NaN")
 def test_too_few_voxels_or_no_noise_tell_nothing(left: np.ndarray) -> None:
     assert is_white(left)
     assert not is_sharpened(left, ONE, ONE)
+
+
+@pytest.mark.parametrize("slices", [1, 3])
+def test_an_axis_of_which_few_voxels_are_known_tells_nothing(slices: int) -> None:
+    known = np.arange(40)[:, None, None] < slices
+    assert is_white(np.where(known, WHITE, np.nan))
+    assert not is_white(np.where(known, smoothed(1.0), np.nan))
+    assert is_sharpened(np.where(known, smoothed(1.0), np.nan), (9.0, 1.0, 1.0), ONE)
 
 
 @pytest.mark.slow

@@ -151,6 +151,8 @@ class Facts:
     followed
         Share of the image's variance around the surfaces that the distance to them explains, if the
         distance to the seeds explained hardly any (:func:`~.sanity.followed`); None if it did.
+    single
+        Whether only one slice holds an image (:func:`~.sanity.single_slice`).
     by_hand
         Whether the shapes were changed by hand after the fit.
     """
@@ -173,6 +175,7 @@ class Facts:
     accuracy: float = 0.0
     oblong: tuple[float, float] | None = None
     followed: float | None = None
+    single: bool = False
     by_hand: bool = False
 
     @cached_property

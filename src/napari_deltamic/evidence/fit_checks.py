@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from .facts import Facts
 from .reason import Reason, fair_if, unexplained
-from .sanity import oblong_told
+from .sanity import SINGLE, oblong_told
 from .verdict_rules import RULES
 
 FitCheck = Callable[[Facts], Reason | None]
@@ -119,6 +119,10 @@ def _followed(fit: Facts) -> Reason | None:
     return Reason("followed", "poor", f"{text} channel, time and voxel size?")
 
 
+def _single(fit: Facts) -> Reason | None:
+    return Reason("single", "poor", SINGLE) if fit.single else None
+
+
 def _oblong(fit: Facts) -> Reason | None:
     return None if fit.oblong is None else Reason("oblong", "fair", oblong_told(fit.oblong))
 
@@ -158,6 +162,7 @@ FIT_CHECKS: tuple[FitCheck, ...] = (_unfinished, _explained, _saturated)
 # right, each surface may lie too far in or out.
 SHARED_CHECKS: tuple[FitCheck, ...] = (
     _nothing,
+    _single,
     _widths,
     _cone,
     _narrow,

@@ -33,10 +33,10 @@ from .folds import folds
 from .left_out import left_out
 from .necks import beyond_necks
 from .outgrowths import outgrowths
-from .predicted_error import predicted_error
+from .predicted_error import PredictedError, predicted_error
 from .residual import Residual
 from .sanity import RULES as SANITY
-from .sanity import followed, oblong
+from .sanity import SINGLE, followed, oblong, single_slice
 from .slices_apart import slices_apart
 from .uneven_insides import inside_shares, uneven_insides
 from .unseen_walls import unseen_walls
@@ -69,6 +69,7 @@ def facts_of(
     pixels, size = np.asarray(job.image), job.grid.voxel_size
     measured = filled_in(pixels, image)
     seen, shown = (levelled(i, job.grid, state.effects) for i in (measured, image))
+    single = job.second is None and single_slice(pixels)
     narrow = narrower_than_told(state.optics.sigma_um, size)
     images = _Images(image, seen, shown)
     return Facts(
@@ -79,7 +80,7 @@ def facts_of(
         dome=_dome(job, state, shown),
         narrow=job.settings.fit.fit_psf and narrow,
         cells=_cells(job, state, left, images),
-        error=predicted_error(job, state),
+        error=PredictedError(unknown=SINGLE) if single else predicted_error(job, state),
         voxel=geometric_mean(size),
         cut=share_cut(pixels),
         compressed=compressed(pixels),
@@ -91,6 +92,7 @@ def facts_of(
         accuracy=job.settings.fit.image_accuracy,
         oblong=oblong(size),
         followed=_followed(job, state, seen),
+        single=single,
         by_hand=is_by_hand(state),
     )
 

@@ -1,15 +1,16 @@
 """Whether an image can be what it is said to be: a check of about a second before a fit.
 
 A wrong voxel size, slices that lean, saturated or logarithmic brightness, an image without
-structure or of something other than the seeds, labels instead of an image, and time taken for depth
-all lead to meaningless fits. None of them can be proved from one image, but each leaves traces that
-sound images hardly show.
+structure, of one slice or of something other than the seeds, labels instead of an image, and time
+taken for depth all lead to meaningless fits. None of them can be proved from one image, but each
+leaves traces that sound images hardly show.
 """
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +100,10 @@ class Doubt:
 
 
 RULES = SanityRules()
+SINGLE = (
+    "only one slice holds an image, which does not tell how high cells are: their heights, shapes "
+    "and volumes are guesses; use a stack of several slices"
+)
 _AROUND = 2.0  # radii of the seeds: the surroundings in which the image should follow them
 _VOXELS = 4_000_000  # of the middle of the image: more would take longer than a second
 _DETAIL = 2.0, 6.0  # voxels; chosen: finer is noise, coarser is light out of focus
@@ -130,6 +135,8 @@ def doubts(
         those in the image.
     """
     pixels = np.asarray(image)
+    if single_slice(pixels):
+        return (Doubt("slices", SINGLE),)
     if pixels.ndim != 3 or min(pixels.shape) < 4 or not np.isfinite(pixels).any():
         return ()
     doing("checking the image")
@@ -312,6 +319,18 @@ def oblong(voxel_size: tuple[float, float, float]) -> tuple[float, float] | None
     """The sides of a voxel along Y and X, um, where they differ; None where it is square."""
     y, x = voxel_size[1:]
     return (y, x) if max(y, x) > RULES.oblong * min(y, x) else None
+
+
+def single_slice(image: NDArray[Any]) -> bool:
+    """Whether only one slice of a stack (Z, Y, X) holds more than one value; NaN is none."""
+    if image.ndim != 3 or not image.size:
+        return False
+    known = np.isfinite(image)
+    high, low = (
+        f(np.where(known, image, end), axis=(1, 2))
+        for f, end in ((np.max, -np.inf), (np.min, np.inf))
+    )
+    return int(np.count_nonzero(high > low)) == 1
 
 
 # What is said ----------------------------------------------------------------------------------

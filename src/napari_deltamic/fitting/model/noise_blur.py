@@ -74,15 +74,16 @@ def _far_over_near(left: FloatArray) -> dict[int, float]:
     for axis in np.flatnonzero(np.array(left.shape) >= RULES.long_enough):
         rows = np.moveaxis(left, axis, -1)[:: max(1, -(-left.size // RULES.most))]
         near, far = (_second_differences(rows, n) for n in (_NEAR, _FAR))
-        if near > 0:
+        if near > 0 and np.isfinite(far):
             found[int(axis)] = far / near
     return found
 
 
 def _second_differences(rows: FloatArray, n: int) -> float:
-    """Their median size along the last axis, over n voxels."""
+    """Their median size along the last axis, over n voxels; NaN if too few are known for any."""
     both = rows[..., : -2 * n] - 2 * rows[..., n:-n] + rows[..., 2 * n :]
-    return float(np.nanmedian(np.abs(both)))
+    known = np.abs(both[np.isfinite(both)])
+    return float(np.median(known)) if known.size else np.nan
 
 
 def _expected(width: FloatArray, n: int) -> FloatArray:
