@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from napari_deltamic import GaussianPSF, Grid
 from napari_deltamic.evidence.enclosing import enclosing_membranes
+from napari_deltamic.fitting.objective.deep_insides import Cells
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.labels.meshes import mesh_from_labels
 
@@ -38,7 +39,7 @@ def seen(light: np.ndarray, photons: float = 400.0) -> np.ndarray:
 
 
 def found(image: np.ndarray, mesh=NUCLEUS) -> dict[int, float]:
-    return enclosing_membranes(mesh, GRID, OPTICS, image, GROUND)
+    return enclosing_membranes(Cells(mesh, OPTICS, GRID), image, GROUND)
 
 
 @pytest.mark.parametrize("faint", [0.1, 0.3, 0.8])

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from ..common.ball import ball_radius
+from ..fitting.objective.deep_insides import Cells
 from ..fitting.voxels.voxel_ownership import RULES as OWNERSHIP
-from ..geometry.labels.voxels import voxel_labels
-from ..geometry.mesh import OUTSIDE, Mesh
-from ..optics import Optics
+from ..geometry.mesh import OUTSIDE
 from ..scene import Grid
 from .cell_voxels import voxels_at
 from .left_out import noise_beside
@@ -73,9 +72,7 @@ class EnclosingRules:
 RULES = EnclosingRules()
 
 
-def enclosing_membranes(
-    mesh: Mesh, grid: Grid, optics: Optics, seen: _Array, background: float
-) -> dict[int, float]:
+def enclosing_membranes(cells: Cells, seen: _Array, background: float) -> dict[int, float]:
     """How many times as bright as its surface the membrane is that encloses each cell.
 
     Cells are left out that none encloses, or that of another cell.
@@ -87,14 +84,13 @@ def enclosing_membranes(
     background
         Background of the fit.
     """
-    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
-    known = np.isfinite(seen)
-    if not (beside := known & (labels == OUTSIDE)).any():
+    mesh, grid, known = cells.mesh, cells.grid, np.isfinite(seen)
+    if not (beside := known & (cells.labels == OUTSIDE)).any():
         return {}
-    size, sigma = np.asarray(grid.voxel_size), np.asarray(optics.sigma_um)
+    size, sigma = np.asarray(grid.voxel_size), np.asarray(cells.optics.sigma_um)
     rest = np.where(known, seen - background, 0.0).astype(np.float32)
     light = gaussian_filter(rest, RULES.smooth * sigma / size)
-    image = _Image(grid, light, labels, known, noise_beside(light[beside]))
+    image = _Image(grid, light, cells.labels, known, noise_beside(light[beside]))
     areas, normals, volumes = mesh.areas(), mesh.normals(), mesh.volumes()
     middles = mesh.vertices_numpy()[mesh.faces].mean(1)
     found: dict[int, float] = {}

@@ -149,11 +149,12 @@ def _light(job: FitInput, state: FitState, left: Residual, images: _Images) -> _
         found["inside"] = deep_brightness(place, images.seen, counts)
     if light.interior < 0:
         found["medium"] = dark_insides_shown(place, images.seen, images.shown, everywhere)
-    beside = state.mesh, job.grid, state.optics, images.seen
     if light.interior > 0 and not light.membrane:
-        found["left_out"] = left_out(*beside, images.shown, state.background)
+        found["left_out"] = left_out(
+            state.mesh, job.grid, state.optics, images.seen, images.shown, state.background
+        )
     if light.membrane:
-        found["enclosed"] = enclosing_membranes(*beside, state.background)
+        found["enclosed"] = enclosing_membranes(place, images.seen, state.background)
     return found
 
 
