@@ -197,7 +197,8 @@ def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
     asked = []
     kinds = ["tilt_instead", "objective_instead", "tails_instead"]
     for name in kinds:
-        answer = lambda *given, name=name: asked.append(name) or (None, 3)  # noqa: E731
+        nothing = (None, 1.0, 3) if name == "tilt_instead" else (None, 3)
+        answer = lambda *given, name=name, nothing=nothing: asked.append(name) or nothing  # noqa: E731
         monkeypatch.setattr(f"napari_deltamic.fitting.successor.{name}", answer)
     spent = []
     for tried, expected in [(0, 3), (1, 2), (2, 1), (3, 0)]:
@@ -219,7 +220,7 @@ def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
 
 def test_a_fit_with_tails_goes_on_where_the_steps_ended(monkeypatch):
     tailed = Seen(TAILED), 3
-    nothing = dict.fromkeys(("tilt_instead", "objective_instead"), (None, 3))
+    nothing = {"tilt_instead": (None, 1.0, 3), "objective_instead": (None, 3)}
     answers = {**nothing, "tails_instead": tailed}
     for name, answer in answers.items():
         there = f"napari_deltamic.fitting.successor.{name}"

@@ -46,6 +46,10 @@ _BEHIND = 1.05
 _TILT, _OBJECTIVE, _TAILS = 1, 2, 3
 
 
+# An objective gains so many times (of the logarithm) what a tilt does, or the tilt is followed: its
+# trial takes more steps, and all that may shine does. Chosen; measured: 1.9 times in a stack with a
+# tilt that ended 0.8 voxel off with an objective, 0.3 with the tilt; 6 times in real vesicles.
+_TWICE = 2.0
 # Times what the former fit leaves: slanted shapes and light inside can make up for a tilt, so a fit
 # with one that leaves as much stays. Chosen; measured: 1.0006 in a cell that such a fit ended 0.07
 # voxel off, and 0.37 without it.
@@ -101,17 +105,18 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
     if former is not None:
         return None, False
     given = run.terms, run.fitted, run.objective.now.rendered
+    tilted, left = None, 1.0
     if not (run.stage.psfs_tried or run.stage.edited):
-        tilted, taken = tilt_instead(*given)
+        tilted, left, taken = tilt_instead(*given)
         run.spend(taken)
-        if tilted is not None:
-            run.say(IS_TILTED)
-            return _going_on(run, tilted, all_shines=True), False
     if run.stage.psfs_tried < _OBJECTIVE:
-        optics, taken = objective_instead(*given)
+        optics, taken = objective_instead(*given, left**_TWICE)
         run.spend(taken)
         if optics is not None:
             return (None if run.stage.edited else _through(run, optics)), True
+    if tilted is not None:
+        run.say(IS_TILTED)
+        return _going_on(run, tilted, all_shines=True), False
     if run.stage.psfs_tried < _TAILS and not run.stage.edited:
         tailed, taken = tails_instead(*given)
         run.spend(taken)

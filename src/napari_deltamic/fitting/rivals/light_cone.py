@@ -85,7 +85,7 @@ RULES = LightConeRules()
 
 
 def objective_instead(
-    terms: Terms, fitted: Fitted, image: Tensor
+    terms: Terms, fitted: Fitted, image: Tensor, enough: float = 1.0
 ) -> tuple[ThroughObjective | None, int]:
     """The PSF of an objective that explains an image better than the Gaussian that was fitted.
 
@@ -123,6 +123,8 @@ def objective_instead(
         Of the fit at its end, before its last level is left.
     image
         (Z, Y, X) as it renders that, of any amplitude.
+    enough
+        Share of what the Gaussian leaves, of which it must leave less.
     """
     first, voxel_size = fitted.first_optics, terms.level.grid.voxel_size
     if not may_change(terms, fitted) or narrower_than_told(fitted.optics.sigma_um, voxel_size):
@@ -137,7 +139,7 @@ def objective_instead(
     of_widefield = share_left(_posed(widefield_of(about), terms, fitted), image)
     leads = share_left(_posed(confocal_of(about), terms, fitted), image) < of_widefield
     found: ThroughObjective | None = None
-    enough, taken, narrow = 1.0, 0, 1.0
+    taken, narrow = 0, 1.0
     for made in (confocal_of, widefield_of) if leads else (widefield_of, confocal_of):
         if made is widefield_of and of_widefield > RULES.far:
             continue
