@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..common.doing import doing
 from ..errors import RepairWarning
 from ..fitting.job import FitInput, assemble, levelled
-from ..fitting.model.checks import hot_told, without_hot
+from ..fitting.model.hot_voxels import hot_told, without_hot
 from ..geometry import Mesh
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import FloatArray

@@ -9,8 +9,9 @@ import numpy as np
 
 from ..fitting.fit import fit
 from ..fitting.job import FitInput
-from ..fitting.model.checks import check_image, hot_voxels
+from ..fitting.model.checks import check_image
 from ..fitting.model.default_accuracy import accuracy_for_image
+from ..fitting.model.hot_voxels import hot_voxels
 from ..fitting.model.likelihood import voxel_noise
 from ..fitting.model.state import FitState
 from ..geometry.mesh import Mesh

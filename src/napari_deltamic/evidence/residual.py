@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 
 from ..common.triple import triple
 from ..errors import InputError
-from ..fitting.model.checks import check_image, hot_voxels
+from ..fitting.model.checks import check_image
+from ..fitting.model.hot_voxels import hot_voxels
 from ..fitting.model.saturation import filled_in
 from ..fitting.model.state import FitState
 from ..geometry.mesh import Mesh

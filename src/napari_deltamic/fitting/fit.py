@@ -23,8 +23,9 @@ from ..runs.settings import WIDE_LEVELS, FitSettings
 from ..scene import Grid
 from ..scene.effects import Effects, as_effects
 from .model.change import Change
-from .model.checks import check_mesh, check_psf, hot_told
+from .model.checks import check_mesh, check_psf
 from .model.default_accuracy import accuracy_for_image
+from .model.hot_voxels import hot_told
 from .model.problem import Problem
 from .model.second_view import Pixels
 from .model.state import FitState, load_checkpoint

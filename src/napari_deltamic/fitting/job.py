@@ -21,8 +21,8 @@ from ..scene import Grid
 from ..scene.effects import Effects
 from ..scene.render import offset
 from . import FitState, counted_voxels, fit
-from .model.checks import without_hot
 from .model.default_accuracy import image_noise
+from .model.hot_voxels import without_hot
 from .rivals.found_psf import settings_of
 from .shape_dial import Dialled, Situation, dialled, with_edges
 from .voxels.voxel_ownership import counted_around

@@ -18,7 +18,8 @@ from ..evidence.verdict import Verdict
 from ..evidence.voxel_variance import Variance, voxel_variance
 from ..fitting import FitState, counted_voxels
 from ..fitting.job import FitInput
-from ..fitting.model.checks import check_image, without_hot
+from ..fitting.model.checks import check_image
+from ..fitting.model.hot_voxels import without_hot
 from ..geometry import Mesh
 from ..measure import measure
 from ..measure.of_fit import known_of

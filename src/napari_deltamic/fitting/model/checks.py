@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 from torch import Tensor
 
-from ...common.words import counted as number_of
 from ...errors import InputError
 from ...geometry.mesh import FloatArray, Mesh
 from ...images.missing import unmasked
 from ...optics import Optics
 from ...scene import Grid
-from .likelihood import voxel_noise
 
 # Squares of what lies outside are lost in single precision: a fit then changes with the unit.
 _SMALLEST, _LARGEST = 1e-9, 1e17
@@ -94,48 +91,3 @@ def check_psf(optics: Optics, grid: Grid) -> None:
                 f"the PSF has a standard deviation of {sigma:.3g} um along {axis}, where the image "
                 f"is only {n * size:.3g} um wide: its numbers are in um"
             )
-
-
-def hot_voxels(pixels: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """(Z, Y, X) bool: voxels so far above all their neighbours that no PSF can have made them.
-
-    A PSF of 0.8 voxel or wider gives the neighbours of its brightest voxel almost half of what it
-    holds; a camera's hot pixel or a cosmic ray gives them nothing. One such voxel can pull a mesh.
-    In images of few photons, where most have none beside them, one alone is a sign of neither.
-    """
-    if not known.any():
-        return np.zeros(pixels.shape, bool)
-    around = np.ones((3, 3, 3), bool)
-    around[1, 1, 1] = False
-    neighbours = maximum_filter(pixels, footprint=around, mode="mirror")
-    dark = float(np.median(pixels[known]))
-    noise = voxel_noise(pixels, known) or _faintest(pixels[known] - dark)
-    return known & (pixels - dark > 4 * np.maximum(neighbours - dark, 3 * noise))
-
-
-def without_hot(image: np.ndarray) -> tuple[np.ndarray, int]:
-    """An image with NaN for its hot voxels, and how many they are; itself where there is none.
-
-    image : (Z, Y, X); one that no fit could take is given back as it is.
-    """
-    if image.ndim != 3 or not image.size:
-        return image, 0
-    known = np.isfinite(image)
-    hot = hot_voxels(np.where(known, image, 0).astype(np.float32), known)
-    number = int(hot.sum())
-    if not number:
-        return image, 0
-    kind = image.dtype if np.issubdtype(image.dtype, np.floating) else np.float32
-    return np.where(hot, np.nan, image).astype(kind), number
-
-
-def hot_told(number: int) -> str:
-    """What users are told of hot voxels."""
-    are = "is" if number == 1 else "are"
-    return f"{number_of(number, 'hot voxel')}, brighter than any PSF can make one, {are} left out"
-
-
-def _faintest(light: np.ndarray) -> float:
-    """The least light above the dark level, such as one photon; 0 where there is none."""
-    above = light[light > 0]
-    return float(above.min()) if above.size else 0.0

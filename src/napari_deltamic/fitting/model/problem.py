@@ -12,7 +12,8 @@ from ...optics import Optics
 from ...runs.settings import FitSettings
 from ...scene import Grid
 from ...scene.effects import Effects, VoxelEffect
-from .checks import FEWEST_VOXELS, check_image, checked_mask, hot_voxels
+from .checks import FEWEST_VOXELS, check_image, checked_mask
+from .hot_voxels import hot_voxels
 from .level import Level
 from .second_view import Pixels
 
