@@ -22,6 +22,18 @@ def test_an_image_that_is_explained_leaves_noise(plain):
     assert found.cells[0].explained > 0.95
 
 
+def test_a_cell_where_nothing_shines_is_not_shown(plain):
+    image, state = plain
+    noise = np.random.default_rng(2).poisson(5.0, image.shape).astype(np.float32)
+    assert analyse_residual(image, GRID, state).cells[0].shown > 50
+    assert abs(analyse_residual(noise, GRID, state).cells[0].shown) < 5
+
+
+def test_a_cell_of_which_voxels_show_less_than_noise_is_shown_by_all_of_them():
+    faint = np.random.default_rng(2).poisson(60 + 0.1 * expected()).astype(np.float32)
+    assert analyse_residual(faint, GRID, fitted(faint)).cells[0].shown > 10
+
+
 def test_a_spot_that_no_surface_explains_is_found_where_it_is(plain):
     _, state = plain
     spot = np.zeros(GRID.shape)

@@ -195,6 +195,15 @@ def test_what_is_not_a_number_is_no_reason():
     assert judged(replace(FINE, cells=(cell,), **of_all)).reasons == ()
 
 
+def test_a_cell_that_is_not_told_from_noise_is_poor():
+    """What it explains cannot be told then, and its predicted error follows noise."""
+    cells = (CellFacts(1, 0.95, shown=200.0), CellFacts(2, None, shown=4.0), CellFacts(3, 0.9))
+    found = judged(replace(FINE, cells=cells))
+    assert [cell.grade for cell in found.cells] == ["good", "poor", "good"]
+    assert found.cells[1].reasons[0].text.startswith("hardly anything shines here")
+    assert judged(replace(FINE, cells=(CellFacts(1, None, shown=9.0),))).grade == "good"
+
+
 def test_one_bad_cell_spoils_no_other_and_is_named():
     cells = (*(CellFacts(k, 0.9, 0.0, 1.0) for k in range(1, 6)), CellFacts(6, 0.2))
     found = judged(replace(FINE, cells=cells))

@@ -7,7 +7,9 @@ import pytest
 
 from napari_deltamic import GaussianPSF, Grid, Scene, Solid, Surface, fit, simulate
 from napari_deltamic.evidence.folds import folds
+from napari_deltamic.evidence.residual import analyse_residual
 from napari_deltamic.evidence.unseen_walls import unseen_walls
+from napari_deltamic.evidence.verdict_rules import RULES
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.labels.meshes import mesh_from_labels
@@ -80,3 +82,17 @@ def test_one_label_for_two_cells_makes_a_fold():
     found = folds(fitted(TWO, (labels_of(TWO) > 0).astype(int)))
     assert list(found) == [1]
     assert found[1] == pytest.approx(tuple(MIDDLE), abs=0.6)
+
+
+def test_a_label_where_nothing_shines_is_not_shown():
+    """A fit makes a shape of the noise there."""
+    cell = sphere((3.3, 3.3, 2.8), 2.2, edge_length=0.3)
+    empty = sphere((3.3, 3.3, 7.6), 1.1, edge_length=0.3)
+    start = mesh_from_labels(labels_of(cell) + 2 * labels_of(empty), GRID.voxel_size)
+    scene = Scene((Surface(cell, 1.0),), OPTICS)
+    image = simulate(scene, GRID, photons=60, background=5.0, seed=3).image
+    settings = FitSettings(levels=(1.0,), density="smooth", max_iterations=60)
+    *_, last = fit(image, GRID, start, OPTICS, settings=settings)
+    shown = analyse_residual(image, GRID, last).shown()
+    assert shown[1] > 50
+    assert shown[2] < RULES.shown

@@ -67,6 +67,13 @@ def _cut(cell: CellFacts, fit: Facts) -> Reason | None:
 # Light ----------------------------------------------------------------------------------------
 
 
+def _dark(cell: CellFacts, fit: Facts) -> Reason | None:
+    if not cell.shown < RULES.shown:
+        return None
+    text = "hardly anything shines here: it is not told from the noise around it, and its shape is"
+    return Reason("dark", "poor", f"{text} a guess (is this label a cell?)")
+
+
 def _explained(cell: CellFacts, fit: Facts) -> Reason | None:
     return unexplained(cell.explained, RULES.good, RULES.fair, "it")
 
@@ -208,6 +215,7 @@ def _um(place: Place) -> str:
 
 
 CELL_CHECKS: tuple[CellCheck, ...] = (
+    _dark,
     _unseen,
     _off,
     _explained,

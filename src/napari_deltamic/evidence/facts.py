@@ -77,6 +77,8 @@ class CellFacts:
         Whether several points were placed in it.
     point
         Whether it is no more than a point compared with the PSF (:func:`~.growth_alarm.shrunken`).
+    shown
+        Standard deviations of noise by which the image shows it (:class:`~.residual.CellFit`).
     """
 
     region: int
@@ -103,6 +105,7 @@ class CellFacts:
     unseen_wall: int | None = None
     left_out: tuple[float, Place] | None = None
     enclosed: float | None = None
+    shown: float = inf
 
 
 @dataclass(frozen=True)

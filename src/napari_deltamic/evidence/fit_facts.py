@@ -127,6 +127,7 @@ def _telling(job: FitInput, state: FitState, left: Residual) -> _Tables:
     high = {} if job.second is not None else _heights(mesh)
     return {
         "explained": left.shares(),
+        "shown": left.shown(),
         "seen": surface_shares(known, job.grid, mesh),
         "counted": surface_shares(counted, job.grid, mesh),
         "slices": {r: height / job.grid.voxel_size[0] for r, height in high.items()},

@@ -64,11 +64,15 @@ class CellFit:
         Explained share of the variation there beyond noise; None where nothing varies.
     z
         Standard deviations by which the residual is larger than noise.
+    shown
+        Standard deviations of noise by which the image shows what the model expects there, apart
+        from an even ground.
     """
 
     region: int
     explained: float | None
     z: float
+    shown: float
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,10 @@ class Residual:
     threshold: float
     explained: float | None
     cells: tuple[CellFit, ...]
+
+    def shown(self) -> dict[int, float]:
+        """How clearly the image shows each region, standard deviations."""
+        return {c.region: c.shown for c in self.cells}
 
     def shares(self) -> dict[int, float]:
         """The share explained around each region; regions for which it is unknown are left out."""
@@ -152,9 +160,10 @@ def analyse_residual(
     values, left = (pixels / spread).reshape(-1)[near], deviation.reshape(-1)[near]
     weights = (1 / spread).reshape(-1)[near]
     cells = tuple(
-        CellFit(int(r), *_explained(values[region == r], left[region == r], weights[region == r]))
+        CellFit(int(r), *_explained(*own), _shown(*own))
         for r in fitted.mesh.region_ids()
         if (region == r).sum() > 1
+        for own in [tuple(array[region == r] for array in (values, left, weights))]
     )
     whole = _explained(values, left, weights)[0] if len(near) > 1 else None
     return Residual(
@@ -280,6 +289,15 @@ def _explained(
     left = float((deviation.astype(np.float64) ** 2).sum()) - n
     z = left / sqrt(2 * n)
     return (min(1.0, 1 - max(left, 0.0) / varied) if varied > 3 * sqrt(2 * n) else None), z
+
+
+def _shown(values: np.ndarray, deviation: np.ndarray, weights: np.ndarray) -> float:
+    """Standard deviations of noise by which values vary as expected; arrays as for _explained."""
+    ground = weights.astype(np.float64) / np.linalg.norm(weights)
+    expected = (values - deviation).astype(np.float64)
+    expected -= ground * (expected @ ground)
+    size = float(np.linalg.norm(expected))
+    return float(values @ expected) / size if size else 0.0
 
 
 def _spots(
