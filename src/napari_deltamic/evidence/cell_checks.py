@@ -68,10 +68,13 @@ def _cut(cell: CellFacts, fit: Facts) -> Reason | None:
 
 
 def _dark(cell: CellFacts, fit: Facts) -> Reason | None:
-    if not cell.shown < RULES.shown:
+    told = cell.explained is not None and cell.explained >= RULES.fair
+    if told or not cell.shown < RULES.shown:  # few voxels may tell no more, but all there is
         return None
-    text = "hardly anything shines here: it is not told from the noise around it, and its shape is"
-    return Reason("dark", "poor", f"{text} a guess (is this label a cell?)")
+    text = (
+        "hardly anything shines here: its shape follows noise; if there is no cell, fit without it"
+    )
+    return Reason("dark", "poor", text)
 
 
 def _explained(cell: CellFacts, fit: Facts) -> Reason | None:
