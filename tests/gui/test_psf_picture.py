@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic.gui.settings import optics_panel
-from napari_deltamic.gui.settings.optics_panel import OBJECTIVE
+from napari_deltamic.gui.settings.optics_panel import OBJECTIVE, _lean_in_words
 from napari_deltamic.optics import GaussianPSF
 
 from .dialing import show_psf
@@ -96,3 +96,11 @@ def test_it_follows_the_fit(open_panel, spin, endless, counted):
     assert open_panel.settings.optics.found.text().startswith(
         f"That of the fit: {z:.2f} (z), {y:.2f}"
     )
+
+
+def test_how_a_tilted_one_leans_is_said():
+    c, s = np.cos(np.deg2rad(35)), np.sin(np.deg2rad(35))
+    axes = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    leaning = GaussianPSF(covariance=axes.T @ np.diag([0.6, 0.2, 0.2]) ** 2 @ axes)
+    assert _lean_in_words(leaning) == ", leaning 35° towards -x"
+    assert _lean_in_words(GaussianPSF((0.6, 0.2, 0.2))) == ""

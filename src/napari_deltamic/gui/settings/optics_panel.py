@@ -114,8 +114,10 @@ class OpticsPanel(QWidget):
         optics = present.state.optics
         self.picture.show_optics(optics)
         # Others are asked for their widths, which takes a while.
-        widths = f": {widths_in_words(optics.sigma_um)} µm" if type(optics) is GaussianPSF else ""
-        self.found.say(f"That of the fit{widths}")
+        told = ""
+        if type(optics) is GaussianPSF:
+            told = f": {widths_in_words(optics.sigma_um)} µm{_lean_in_words(optics)}"
+        self.found.say(f"That of the fit{told}")
 
     def _edited(self, value: Any = None) -> None:
         self._choice.edit_psf(self._settings)
@@ -381,6 +383,13 @@ class PsfPicture(QLabel):
         # Why a PSF cannot be is told beside its numbers.
         self.sections = None
         super().clear()
+
+
+def _lean_in_words(optics: GaussianPSF) -> str:
+    """How its longest axis leans from Z, after a comma; nothing if it does not."""
+    leans = ((round(angle), axis) for angle, axis in zip(optics.tilt, "yx", strict=True))
+    told = [f"{abs(a)}° towards {'-' if a < 0 else ''}{axis}" for a, axis in leans if a]
+    return f", leaning {' and '.join(told)}" if told else ""
 
 
 def _scaled(section: NDArray[np.float64]) -> NDArray[np.uint8]:
