@@ -66,6 +66,19 @@ def test_going_on_starts_from_the_last_mesh_and_the_first_psf(series):
     assert len(first.fit.mesh.vertices) == len(done[1].mesh.vertices)
 
 
+def tilted(sigma):
+    z, y, x = sigma
+    return GaussianPSF(covariance=[[z * z, 0, z * x / 2], [0, y * y, 0], [z * x / 2, 0, x * x]])
+
+
+def test_a_tilted_psf_takes_over():
+    past = BetweenFrames(GRID, ball(), OPTICS, first=0)
+    for number, optics in enumerate((OPTICS, tilted(OPTICS.sigma_um), OPTICS)):
+        state = SimpleNamespace(optics=optics, loss=0.1, light=MEMBRANES, dimmed=None)
+        past.take(Frame.of(number, np.ones(GRID.shape), GRID), state, ball(), [])
+        assert past.optics is optics
+
+
 def test_the_psf_of_the_first_frame_stays_and_that_of_an_objective_takes_over():
     past = BetweenFrames(GRID, ball(), OPTICS, first=0)
     found = [OPTICS.with_parameters(OPTICS.parameters() + k) for k in (0.1, 0.2)]
@@ -140,6 +153,7 @@ def test_padding_of_a_frame_is_not_known():
         lambda sigma: widefield_of(sigma, 0.4),
         lambda sigma: confocal_of(sigma, -0.4),
         GaussianPSF,
+        tilted,
     ],
 )
 def test_going_on_knows_the_psf_that_a_fit_found(made):

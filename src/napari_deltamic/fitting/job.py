@@ -23,7 +23,7 @@ from ..scene.render import offset
 from . import FitState, counted_voxels, fit
 from .model.default_accuracy import image_noise
 from .model.hot_voxels import without_hot
-from .rivals.found_psf import settings_of
+from .rivals.found_psf import same_kind, settings_of
 from .shape_dial import Dialled, Situation, dialled, with_edges
 from .voxels.voxel_ownership import counted_around
 
@@ -117,8 +117,7 @@ def following(job: FitInput, state: FitState) -> FitInput:
     """The job of a fit that has begun anew, with another kind of PSF or other voxels; or itself."""
     if state.counted is not None and state.counted is not job.counted:
         job = replace(job, counted=state.counted)
-    now, before = state.optics, job.optics
-    if type(now) is type(before) and now.diagonal == before.diagonal:
+    if same_kind(state.optics, job.optics):
         return job
     scene = scene_with(job.settings.scene, state.optics)
     return replace(job.with_settings(scene=scene), optics=state.optics)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..fitting.fit import fit
 from ..fitting.model.state import FitState
+from ..fitting.rivals.found_psf import same_kind
 from ..fitting.rivals.light_cone import confocal_of, widefield_of
 from ..fitting.rivals.psf_tails import core_and_tails
 from ..fitting.rivals.psf_tilt import of_any_axes
@@ -81,7 +82,7 @@ class BetweenFrames:
         """Take over a finished frame. mesh : without the cells that have gone."""
         self.quality.accept(frame.pixels, state.loss)
         self._see(frame.number, mesh, events)
-        if (self.state is None and not self.done) or type(state.optics) is not type(self.optics):
+        if (self.state is None and not self.done) or not same_kind(state.optics, self.optics):
             self.optics = state.optics
         self.state, self.structure = state, self.structure or structure_of_next(state)
         self.edge = mesh.median_edge() if self.edge == 0 else self.edge
@@ -104,7 +105,7 @@ class BetweenFrames:
                 continue
             self._see(result.frame, result.mesh, result.events)
             found = self._left_by(result)
-            if settings.fit_psf and (not self.done or type(found) is not type(self.optics)):
+            if settings.fit_psf and (not self.done or not same_kind(found, self.optics)):
                 self.optics = found
             self.done[result.frame] = result
             self.structure = self.structure or result.structure

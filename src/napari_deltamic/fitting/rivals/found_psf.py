@@ -11,6 +11,11 @@ from ...runs.optics_settings import MicroscopeOptics, MixtureOptics
 FoundPSF = ScalarPSF | ConfocalPSF | GaussianMixturePSF | GaussianPSF
 
 
+def same_kind(optics: Optics, other: Optics) -> bool:
+    """Whether a fit moves the same numbers of two PSFs; a tilted Gaussian is another kind."""
+    return type(optics) is type(other) and optics.diagonal == other.diagonal
+
+
 def values_of(optics: Optics) -> dict[str, Any] | None:
     """What makes a PSF that a fit has found; None for one of another kind.
 

@@ -13,6 +13,7 @@ from ...common.description import described
 from ...errors import InputError
 from ...fitting import Change
 from ...fitting.job import optics_of, scene_with
+from ...fitting.rivals.found_psf import same_kind
 from ...optics import Optics
 from ...runs.settings import FitSettings, SceneSettings
 from ...scene.effects import Effects, ViewEffect, kind_of
@@ -117,7 +118,7 @@ class LiveSettings:
         """The PSF shown; None, after a message, if the fit cannot take it."""
         present = self._doc.present()
         optics = optics_of(scene)
-        if present is None or type(optics) is type(present.state.optics):
+        if present is None or same_kind(optics, present.state.optics):
             return optics
         self._doc.noted.emit("The new PSF applies to the next run.")
         return None
