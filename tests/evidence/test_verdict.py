@@ -200,7 +200,7 @@ def test_a_cell_that_is_not_told_from_noise_is_poor():
     cells = (CellFacts(1, 0.95, shown=200.0), CellFacts(2, None, shown=4.0), CellFacts(3, 0.9))
     found = judged(replace(FINE, cells=cells))
     assert [cell.grade for cell in found.cells] == ["good", "poor", "good"]
-    assert found.cells[1].reasons[0].text.startswith("hardly anything shines here")
+    assert found.cells[1].reasons[0].text.startswith("the image hardly shows it")
     for faint in (CellFacts(1, None, shown=9.0), CellFacts(1, 0.9, shown=4.0)):
         assert judged(replace(FINE, cells=(faint,))).grade == "good"
 

@@ -71,10 +71,8 @@ def _dark(cell: CellFacts, fit: Facts) -> Reason | None:
     told = cell.explained is not None and cell.explained >= RULES.fair
     if told or not cell.shown < RULES.shown:  # few voxels may tell no more, but all there is
         return None
-    text = (
-        "hardly anything shines here: its shape follows noise; if there is no cell, fit without it"
-    )
-    return Reason("dark", "poor", text)
+    text = "the image hardly shows it: its shape follows noise"
+    return Reason("dark", "poor", f"{text}; if there is no cell, fit without it")
 
 
 def _explained(cell: CellFacts, fit: Facts) -> Reason | None:
