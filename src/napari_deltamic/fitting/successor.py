@@ -40,12 +40,8 @@ NARROW = "the new PSF is narrower than voxels can resolve: the fit goes back to 
 # Times what the former fit leaves: what is tried at rest does not make up for so much. Chosen;
 # measured on 6 scenes and 3 real stacks, it moved by at most 1.3 % from the first rest on.
 _BEHIND = 1.05
-
-
 # By definition in this order; see :attr:`.stage.Stage.psfs_tried`.
 _TILT, _OBJECTIVE, _TAILS = 1, 2, 3
-
-
 # An objective gains so many times (of the logarithm) what a tilt does, or the tilt is followed: its
 # trial takes more steps, and all that may shine does. Chosen; measured: 1.9 times in a stack with a
 # tilt that ended 0.8 voxel off with an objective, 0.3 with the tilt; 6 times in real vesicles.

@@ -12,7 +12,7 @@ sharp as the borders are. Two Gaussians then begin as wide across as it was at t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -72,16 +72,26 @@ def tails_instead(terms: Terms, fitted: Fitted, image: Tensor) -> tuple[Fitted |
     about = _about(fitted, terms.level.grid.voxel_size)
     if about is None:
         return None, 0
-    tailed, looked = core_and_tails(about), list[float]()
-
-    def hopeless(objective: Objective) -> bool:
-        looked.append(share_left(objective, image))
-        # Would not do if it gained as much again.
-        return len(looked) > 1 and 2 * looked[-1] - looked[-2] >= RULES.left
-
+    tailed = core_and_tails(about)
     # What shines is held: else light of membranes might explain more, and the tails get the credit.
-    rival, taken = stepped(begun(terms, fitted.seen_through(tailed), Preconditioners()), hopeless)
+    rival = begun(terms, fitted.seen_through(tailed), Preconditioners())
+    rival, taken = stepped(rival, hopeless(image, RULES.left))
     return (rival.fitted if share_left(rival, image) < RULES.left else None), taken
+
+
+def hopeless(image: Tensor, enough: float) -> Callable[[Objective], bool]:
+    """Whether a rival, looked at in turn, would leave too much if it gained as much again.
+
+    image : (Z, Y, X) as the fit renders that, of any amplitude; enough : share left that it is held
+    against.
+    """
+    looked = list[float]()
+
+    def asked(objective: Objective) -> bool:
+        looked.append(share_left(objective, image))
+        return len(looked) > 1 and 2 * looked[-1] - looked[-2] >= enough
+
+    return asked
 
 
 def _about(fitted: Fitted, voxel_size: Widths) -> Widths | None:

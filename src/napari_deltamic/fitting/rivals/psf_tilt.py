@@ -16,9 +16,10 @@ from torch import Tensor
 from ...optics import GaussianPSF, Optics
 from ...optics.narrow import narrower_than_told
 from ..model.fitted import Fitted
-from ..objective.fit_objective import Objective, Terms
+from ..objective.fit_objective import Terms
 from ..solvers.preconditioner import Preconditioners
 from .light_cone import may_change, share_left
+from .psf_tails import hopeless
 from .rival_structures import begun, stepped
 
 IS_TILTED = "the image shows a tilted PSF: the fit continues with a Gaussian PSF along other axes"
@@ -66,16 +67,9 @@ def tilt_instead(terms: Terms, fitted: Fitted, image: Tensor) -> tuple[Fitted | 
         return None, 1.0, 0
     if narrower_than_told(along.sigma_um, terms.level.grid.voxel_size):
         return None, 1.0, 0  # it stands in for light that the model lacks
-    looked = list[float]()
-
-    def hopeless(objective: Objective) -> bool:
-        looked.append(share_left(objective, image))
-        # Would not do if it gained as much again.
-        return len(looked) > 1 and 2 * looked[-1] - looked[-2] >= RULES.left
-
     # What shines is held: else light of membranes might explain more, and the tilt get the credit.
     rival = begun(terms, fitted.seen_through(of_any_axes(along)), Preconditioners())
-    rival, taken = stepped(rival, hopeless)
+    rival, taken = stepped(rival, hopeless(image, RULES.left))
     left = share_left(rival, image)
     if left >= RULES.left or tilt_of(rival.fitted.optics) <= RULES.tilted:
         return None, 1.0, taken

@@ -49,7 +49,9 @@ def ground_again(problem: Problem, fitted: Fitted) -> Problem | None:
 
     None that counted is lost.
     """
-    if problem.foreign is None or problem.anew is None or problem.anew >= RULES.times:
+    if problem.foreign is None or not problem.foreign.any():
+        return None
+    if problem.anew is None or problem.anew >= RULES.times:
         return None
     mesh, grid = fitted.mesh, problem.grid
     added, measured = offset(fitted.effects, grid), problem.counted | problem.foreign
@@ -63,8 +65,7 @@ def ground_again(problem: Problem, fitted: Fitted) -> Problem | None:
     before = surface_shares(problem.counted, grid, mesh)
     if all(1 - share < RULES.own for share in before.values()):
         return None  # however many voxels came to them
-    own = counted_voxels(*given) & measured
-    counted = own | problem.counted
+    counted = problem.counted | (counted_voxels(*given) & measured)
     now = surface_shares(counted, grid, mesh)
     if all(now[cell] - before[cell] < RULES.own for cell in before):
         return None
