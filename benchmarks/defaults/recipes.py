@@ -34,6 +34,7 @@ class Recipe:
     uneven: float = 0.0  # standard deviation of the log density, smooth over the cell
     textured: float = 0.0  # the same, over a few voxels
     haze: float = 0.0  # light outside, of the membrane's brightness
+    body: tuple[float, float] = (0.0, 0.0)  # light around each, as far as so many times its radius
     arms: int = 0  # fingers of each cell, too thin for a dark inside
     specks: int = 0
     thickness: float = 0.0
@@ -240,6 +241,33 @@ def _confluent(rng: np.random.Generator) -> Recipe:
     return Recipe(cells, seeded, True, roughness=0.03, **given)
 
 
+def _lit_nuclei(rng: np.random.Generator) -> Recipe:
+    """One nucleus, or four, in cytoplasm that shines less; bodies may touch and be cut."""
+    aspect = float(rng.choice([1, 2]))
+    cells: list[tuple[float, ...]] = [(0.0, 0.0, 0.0, rng.uniform(7.0, 14.0))]
+    if rng.random() < 0.7:
+        away = rng.uniform(1.4, 2.1)
+        cells = [
+            (*(away * np.array(c[:3])).tolist(), c[3]) for c in _tissue(rng, rng.uniform(7.0, 9.0))
+        ]
+    return Recipe(
+        tuple(cells),  # type: ignore[arg-type]
+        tuple(range(1, len(cells) + 1)),
+        shape=(round(60 / aspect), 60, 60),
+        aspect=aspect,
+        psf=(rng.uniform(1.0, 2.0) * (1.5 / aspect), rng.uniform(0.8, 1.6)),
+        microscope=str(rng.choice(["", "confocal"])),  # type: ignore[arg-type]
+        photons=float(np.exp(rng.uniform(np.log(30), np.log(300)))),
+        membrane=0.0,
+        interior=1.0,
+        unequal=0.2,
+        body=(rng.uniform(0.05, 0.4), rng.uniform(1.4, 2.0)),
+        grain=float(rng.choice([0.0, 0.2])),
+        seeds="labels",
+        told=("--structure", "interior"),
+    )
+
+
 def _flat_voxels(rng: np.random.Generator, microscope: Microscope, **others: Any) -> Recipe:
     """One cell, in voxels twice as deep as wide."""
     given = {"cells": ((0, 0, 0, 12.0),), "shape": (24, 48, 48), "aspect": 2.0}
@@ -338,6 +366,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Recipe]] = {
         told=("--structure", "interior"),
     ),
     "flat-nuclei": _flat_nuclei,
+    "lit-nuclei": _lit_nuclei,
     "chromatin-both": lambda rng: _chromatin(
         rng, membrane=1.0, interior=rng.uniform(0.3, 1.2), told=("--structure", "both")
     ),

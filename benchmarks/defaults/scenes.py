@@ -99,6 +99,10 @@ def scene_of(name: str, recipe: Recipe, rng: np.random.Generator) -> Scene:
             light *= _nucleolus(space, centres[k], radii[k], rng)
         if recipe.nucleus:
             light *= _nucleus(space, centres[k], radii[k], recipe.nucleus, rng)
+    if recipe.body[0]:
+        light += (
+            recipe.body[0] * _bodies(recipe, space, centres, radii, rng) * (1 - sum(solid.values()))
+        )
     if recipe.haze:
         light += recipe.haze * _haze(space, rng) * (1 - sum(solid.values()))
     if recipe.fading != 1:
@@ -233,6 +237,22 @@ def _nucleus(
     """A quarter in a ball of that share of a cell's radius, somewhat off its middle; else 1."""
     middle = centre + (1 - share) * radius * rng.uniform(-0.3, 0.3, 3)
     return np.where(_away(space, middle) < share * radius, 1 / 4, 1.0)
+
+
+def _bodies(
+    recipe: Recipe,
+    space: Field,
+    centres: dict[int, Array],
+    radii: dict[int, float],
+    rng: np.random.Generator,
+) -> Array:
+    """1 within a ball around each cell, somewhat off its middle; else 0."""
+    found = np.zeros(space.fine_shape, bool)
+    for k, centre in centres.items():
+        reach = recipe.body[1] * radii[k]
+        middle = centre + (reach - radii[k]) * rng.uniform(-0.5, 0.5, 3)
+        found |= _away(space, middle) < reach
+    return found.astype(float)
 
 
 def _away(space: Field, middle: Array) -> Array:

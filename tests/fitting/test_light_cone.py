@@ -431,7 +431,7 @@ def test_a_confocal_fit_begins_anew_where_it_is_much_aberrated(monkeypatch, sphe
     went_on = []
     run = SimpleNamespace(
         let_former_go=lambda: None,
-        stage=SimpleNamespace(edited=False, psfs_tried=1),
+        stage=SimpleNamespace(edited=False, tried=1),
         problem=SimpleNamespace(foreign=None),
         terms=terms,
         fitted=fitted,

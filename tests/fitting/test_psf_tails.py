@@ -103,6 +103,8 @@ def test_a_fit_goes_back_where_tails_explain_less(monkeypatch):
         return fitted.seen_through(far_off), 1
 
     monkeypatch.setattr("napari_deltamic.fitting.successor.tails_instead", tried)
+    there = "napari_deltamic.fitting.successor.local_background_instead"
+    monkeypatch.setattr(there, lambda *given: (None, 0))  # of the tails that the image shows
     found = list(begun())
     messages = [state.message for state in found]
     assert any(BACK in message for message in messages)
@@ -195,26 +197,27 @@ def test_steps_end_where_they_gain_too_little(monkeypatch, shares, stops):
 
 def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
     asked = []
-    kinds = ["tilt_instead", "objective_instead", "tails_instead"]
+    kinds = ["tilt_instead", "objective_instead", "tails_instead", "local_background_instead"]
     for name in kinds:
         nothing = (None, 1.0, 3) if name == "tilt_instead" else (None, 3)
         answer = lambda *given, name=name, nothing=nothing: asked.append(name) or nothing  # noqa: E731
         monkeypatch.setattr(f"napari_deltamic.fitting.successor.{name}", answer)
     spent = []
-    for tried, expected in [(0, 3), (1, 2), (2, 1), (3, 0)]:
+    for tried, expected in [(0, 4), (1, 3), (2, 2), (3, 1), (4, 0)]:
         asked.clear()
         spent.clear()
         run = SimpleNamespace(
             let_former_go=lambda: None,
-            stage=SimpleNamespace(edited=False, psfs_tried=tried),
+            stage=SimpleNamespace(edited=False, tried=tried),
             problem=SimpleNamespace(foreign=None),
+            begun=None,
             terms=None,
             fitted=SimpleNamespace(),
             objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),
             spend=spent.append,
         )
         assert successor(run, True) == (None, False)
-        assert asked == kinds[3 - expected :]
+        assert asked == kinds[4 - expected :]
         assert spent == [3] * expected
 
 
@@ -229,7 +232,7 @@ def test_a_fit_with_tails_goes_on_where_the_steps_ended(monkeypatch):
     went_on = []
     run = SimpleNamespace(
         let_former_go=lambda: None,
-        stage=SimpleNamespace(edited=False, psfs_tried=0),
+        stage=SimpleNamespace(edited=False, tried=0),
         problem=SimpleNamespace(foreign=None),
         terms=None,
         fitted=Seen(ABOUT),
@@ -257,10 +260,10 @@ def test_which_voxels_count_is_asked_where_a_fit_with_tails_has_ended_too(
     fitted.seen_through = lambda optics: fitted
     run = SimpleNamespace(
         let_former_go=lambda: None if all_shines else "a Gaussian",
-        stage=SimpleNamespace(edited=False, psfs_tried=0),
-        problem=None,
+        stage=SimpleNamespace(edited=False, tried=0),
+        problem=SimpleNamespace(local_background=None),
         fitted=fitted,
-        on_ground=lambda problem: went_on.append(problem) or further,
+        again=lambda optics, problem: went_on.append(problem) or further,
         say=went_on.append,
         checkpoint=lambda: SimpleNamespace(policy=None),
     )
@@ -268,6 +271,7 @@ def test_which_voxels_count_is_asked_where_a_fit_with_tails_has_ended_too(
     assert went_on == [OWN_LIGHT, "more voxels", all_shines]
     if not all_shines:
         monkeypatch.setattr(f"{there}.ground_again", lambda problem, fitted: None)
+        monkeypatch.setattr(f"{there}._in_lit_surroundings", lambda run, plain: None)
         assert successor(run, True) == (None, False)  # no other PSF is tried after that
 
 
@@ -278,7 +282,7 @@ def test_a_run_that_was_edited_is_not_asked_for_tails(monkeypatch):
     )
     run = SimpleNamespace(
         let_former_go=lambda: None,
-        stage=SimpleNamespace(edited=True, psfs_tried=0),
+        stage=SimpleNamespace(edited=True, tried=0),
         terms=None,
         fitted=SimpleNamespace(),
         objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),

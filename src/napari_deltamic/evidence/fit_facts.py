@@ -68,7 +68,10 @@ def facts_of(
     image = np.asarray(state.rendered() if rendered is None else rendered)
     pixels, size = np.asarray(job.image), job.grid.voxel_size
     measured = filled_in(pixels, image)
-    seen, shown = (levelled(i, job.grid, state.effects) for i in (measured, image))
+    seen, shown = (
+        levelled(state.without_local_background(i), job.grid, state.effects)
+        for i in (measured, image)
+    )
     single = job.second is None and single_slice(pixels)
     narrow = narrower_than_told(state.optics.sigma_um, size)
     images = _Images(image, seen, shown)

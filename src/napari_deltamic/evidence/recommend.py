@@ -176,8 +176,12 @@ def recommend_for(
 
     fitted : the last state of this fit, if already done; its effects have the numbers found there.
     """
+    image = job.image
+    if fitted is not None:
+        image = fitted.without_local_background(image)
+        fitted = replace(fitted, local_background=None)
     return recommend(
-        job.image,
+        image,
         job.grid,
         job.mesh,
         job.optics,

@@ -87,10 +87,16 @@ class Checkpoint:
         return of_image and bool(((dimmed > 0) & (dimmed <= 1)).all())
 
     def _ground(self) -> Arrays:
-        """The voxels that may count, if they were found anew, and how often that was."""
-        if self.problem is None or not self.problem.anew:
-            return {}
-        return {"counted": self.problem.counted, "anew": np.array(self.problem.anew)}
+        """What was found on the way of what is to be explained.
+
+        The voxels that may count, and how often they were found anew; the local background.
+        """
+        problem, found = self.problem, Arrays()
+        if problem is not None and problem.anew:
+            found |= {"counted": problem.counted, "anew": np.array(problem.anew)}
+        if problem is not None and problem.local_background is not None:
+            found["local_background"] = problem.local_background
+        return found
 
     def loaded(self, found: Arrays) -> Checkpoint:
         """This one with what another has saved.
@@ -149,12 +155,21 @@ def problem_in(found: Arrays, given: Problem) -> Problem:
     InputError
         If the voxels that counted are of another image.
     """
+    if "local_background" in found:
+        given = _without(found["local_background"], given)
     if "counted" not in found:
         return given
     counted = found["counted"]
     if counted.shape != given.counted.shape or counted.dtype != bool or "anew" not in found:
         raise InputError("the checkpoint is damaged: its voxels are of another image")
     return with_ground(given, counted, int(found["anew"]))
+
+
+def _without(around: np.ndarray, given: Problem) -> Problem:
+    """The problem without such a local background."""
+    if around.shape != given.image.shape or around.dtype != np.float32:
+        raise InputError("the checkpoint is damaged: its local background is of another image")
+    return replace(given, image=given.image - around, local_background=around)
 
 
 def former_in(found: Arrays) -> Arrays:

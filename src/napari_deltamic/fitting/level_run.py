@@ -377,7 +377,8 @@ class LevelRun:
             kept,
         )
         problem = self._context.problem
-        return replace(state, counted=problem.counted) if problem.anew else state
+        counted = problem.counted if problem.anew else None
+        return replace(state, counted=counted, local_background=problem.local_background)
 
     def _densities(self) -> FloatArray:
         """(F,) relative to the mean."""

@@ -91,6 +91,11 @@ class Run:
         """What is to be explained."""
         return self._context.problem
 
+    @property
+    def begun(self) -> Mesh:
+        """Where it began."""
+        return self._context.begun.mesh
+
     def say(self, *remarks: str) -> None:
         """Tell this with the next state."""
         self._context.reporter.say(*remarks)
@@ -170,29 +175,21 @@ class Run:
 
     # ---------------------------------------------------------------- runs that follow another
 
-    def again(self, optics: Optics, former: Run | None = None) -> Run:
-        """A run from the same start with another PSF; former : what it is held against."""
-        begun, effects = self._context.begun.mesh, self.fitted.first_effects
-        return Run(
-            self._context.problem,
-            begun,
-            optics,
-            self._level.at.settings,
-            effects,
-            self.stage.begun_anew(optics),
-            former,
-        )
+    def again(
+        self, optics: Optics, former: Run | None = None, problem: Problem | None = None
+    ) -> Run:
+        """A run from the same start with another PSF.
 
-    def on_ground(self, problem: Problem) -> Run:
-        """A run from the same start with other voxels that count."""
-        optics, effects = self.fitted.first_optics, self.fitted.first_effects
+        former : what it is held against. problem : what it is to explain, if that is another one.
+        """
         return Run(
-            problem,
+            problem or self._context.problem,
             self._context.begun.mesh,
             optics,
             self._level.at.settings,
-            effects,
+            self.fitted.first_effects,
             self.stage.begun_anew(optics),
+            former,
         )
 
     def go_on_at(

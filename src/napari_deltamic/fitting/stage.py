@@ -32,9 +32,9 @@ class Stage:
         The iteration of the last change from outside: the patience starts anew.
     begun_at
         The iteration before the first one with this kind of PSF: so it does then.
-    psfs_tried
-        Kinds of PSF that explained less than this one: 1, a tilted one; 2, also that of an
-        objective; 3, also one with long tails.
+    tried
+        What explained less than this: 1, a tilted PSF; 2, also that of an objective; 3, also one
+        with long tails; 4, also a local background.
     """
 
     level_number: int
@@ -45,7 +45,7 @@ class Stage:
     evaluations: int = 0
     changed_at: int = 0
     begun_at: int = 0
-    psfs_tried: int = 0
+    tried: int = 0
 
     @property
     def edited(self) -> bool:
@@ -72,22 +72,22 @@ class Stage:
         )
 
     def after(self, other: Stage, tried: int) -> Stage:
-        """Where this was, after a fit with another PSF; counts go on.
+        """Where this was, after a fit with another model; counts go on.
 
-        tried : see :attr:`psfs_tried`.
+        tried : see :attr:`tried`.
         """
         return replace(
             self,
             iteration=other.iteration,
             evaluations=other.evaluations,
             begun_at=other.iteration,
-            psfs_tried=tried,
+            tried=tried,
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, but for the PSF."""
         counts = {name: getattr(self, name) for name in _COUNTS}
-        return {**counts, "psfs_tried": self.psfs_tried, "progress": asdict(self.progress)}
+        return {**counts, "tried": self.tried, "progress": asdict(self.progress)}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], blurred_for: Optics) -> Stage:
@@ -102,5 +102,5 @@ class Stage:
             evaluations=int(values["evaluations"]),
             changed_at=int(values["changed_at"]),
             begun_at=int(values["begun_at"]),
-            psfs_tried=int(values["psfs_tried"]),
+            tried=int(values["tried"]),
         )

@@ -1,4 +1,4 @@
-"""Which fit follows one that has ended: through another PSF, or back to a Gaussian one.
+"""Which fit follows one that has ended: with another model of the image, or back to the one before.
 
 The PSF of an objective is chosen after a few steps (:mod:`.light_cone`), and so is one with long
 tails where no objective is better (:mod:`.psf_tails`). What has begun anew with it may end
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Protocol, Self, TypeVar
 
+from ..geometry.mesh import Mesh
 from ..optics import GaussianMixturePSF, GaussianPSF, Optics, ScalarPSF
 from ..optics.narrow import narrower_than_told
 from .checkpoint import Checkpoint, former_in, objective_in, problem_in
@@ -25,6 +26,7 @@ from .rivals.light_cone import (
     objective_instead,
     spherical_of,
 )
+from .rivals.lit_surroundings import IS_LIT, explains_more_beside, local_background_instead
 from .rivals.psf_tails import HAS_TAILS, tails_instead
 from .rivals.psf_tilt import IS_TILTED, tilt_instead
 from .stage import Stage
@@ -35,13 +37,14 @@ OWN_LIGHT = (
     "light that was assigned to other objects is the cell's own: the fit goes on with more voxels"
 )
 BACK = "the new PSF explains less: the fit goes back to the Gaussian PSF"
+EVEN = "the local background explains less: the fit goes back to an even one"
 NARROW = "the new PSF is narrower than voxels can resolve: the fit goes back to the Gaussian PSF"
 
 # Times what the former fit leaves: what is tried at rest does not make up for so much. Chosen;
 # measured on 6 scenes and 3 real stacks, it moved by at most 1.3 % from the first rest on.
 _BEHIND = 1.05
-# By definition in this order; see :attr:`.stage.Stage.psfs_tried`.
-_TILT, _OBJECTIVE, _TAILS = 1, 2, 3
+# By definition in this order; see :attr:`.stage.Stage.tried`.
+_TILT, _OBJECTIVE, _TAILS, _SURROUNDINGS = 1, 2, 3, 4
 # An objective gains so many times (of the logarithm) what a tilt does, or the tilt is followed: its
 # trial takes more steps, and all that may shine does. Chosen; measured: 1.9 times in a stack with a
 # tilt that ended 0.8 voxel off with an objective, 0.3 with the tilt; 6 times in real vesicles.
@@ -65,10 +68,13 @@ class Ending(Protocol):
     def terms(self) -> Terms: ...
     @property
     def problem(self) -> Problem: ...
+    @property
+    def begun(self) -> Mesh: ...
     def say(self, *remarks: str) -> None: ...
     def spend(self, evaluations: int) -> None: ...
-    def again(self, optics: Optics, former: Self | None = None) -> Self: ...
-    def on_ground(self, problem: Problem) -> Self: ...
+    def again(
+        self, optics: Optics, former: Self | None = None, problem: Problem | None = None
+    ) -> Self: ...
     def let_former_go(self) -> Self | None: ...
     def checkpoint(self) -> Checkpoint: ...
     def go_on_from(self, kept: Arrays) -> None: ...
@@ -90,22 +96,49 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
     former = run.let_former_go()
     if former is not None:
         back = None if run.stage.edited else _back(run, former)
-        if back is not None or not isinstance(run.fitted.optics, GaussianMixturePSF):
+        if back is not None:
             return back, False
+        if _explains_more(run, former):
+            former = None  # all kinds of PSF may still be tried
     if not finished:
         return None, False
-    problem = None if run.stage.edited else ground_again(run.problem, run.fitted)
-    if problem is not None:
-        run.say(OWN_LIGHT)
-        return _on_ground(run, problem), False
-    if former is not None:
-        return None, False
+    if former is None or isinstance(run.fitted.optics, GaussianMixturePSF):
+        problem = None if run.stage.edited else ground_again(run.problem, run.fitted)
+        if problem is not None:
+            run.say(OWN_LIGHT)
+            return _on_ground(run, problem), False
+    following, cone = _with_another_psf(run) if former is None else (None, False)
+    if following is None and not run.stage.edited:
+        following = _in_lit_surroundings(run, former or run)
+    return following, cone
+
+
+def _in_lit_surroundings(run: Run, plain: Run) -> Run | None:
+    """The run that follows with a local background, if the image shows one.
+
+    plain : the fit with a Gaussian along the axes; the run itself, or the one before.
+    """
+    if run.stage.tried >= _SURROUNDINGS:
+        return None
+    objective = run.objective if plain is run else plain.posed_here()
+    given = run.problem, run.begun, plain.terms, objective
+    found, taken = local_background_instead(*given, None if plain is run else run.objective)
+    run.spend(taken)
+    if found is None:
+        return None
+    problem, optics = found
+    run.say(IS_LIT)
+    return run.again(optics, _former(run), problem)
+
+
+def _with_another_psf(run: Run) -> tuple[Run | None, bool]:
+    """As :func:`successor`, of the kinds of PSF that are not tried yet."""
     given = run.terms, run.fitted, run.objective.now.rendered
     tilted, left = None, 1.0
-    if not (run.stage.psfs_tried or run.stage.edited):
+    if not (run.stage.tried or run.stage.edited):
         tilted, left, taken = tilt_instead(*given)
         run.spend(taken)
-    if run.stage.psfs_tried < _OBJECTIVE:
+    if run.stage.tried < _OBJECTIVE:
         optics, taken = objective_instead(*given, left**_TWICE)
         run.spend(taken)
         if optics is not None:
@@ -113,7 +146,7 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
     if tilted is not None:
         run.say(IS_TILTED)
         return _going_on(run, tilted, all_shines=True), False
-    if run.stage.psfs_tried < _TAILS and not run.stage.edited:
+    if run.stage.tried < _TAILS and not run.stage.edited:
         tailed, taken = tails_instead(*given)
         run.spend(taken)
         if tailed is not None:
@@ -122,8 +155,16 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
     return None, False
 
 
-def _tried(optics: Optics) -> int:
-    """Which kind of PSF it is that was tried in place of a Gaussian along the axes."""
+def _explains_more(run: Run, former: Run) -> bool:
+    """Whether a run has a local background, and the former one had none."""
+    return run.problem.local_background is not None and former.problem.local_background is None
+
+
+def _tried(run: Run, former: Run) -> int:
+    """What it is that was tried in place of an even background and a Gaussian along the axes."""
+    optics = run.fitted.optics
+    if _explains_more(run, former):
+        return _SURROUNDINGS
     if isinstance(optics, GaussianMixturePSF):
         return _TAILS
     return _TILT if isinstance(optics, GaussianPSF) else _OBJECTIVE
@@ -137,19 +178,14 @@ def resumed(run: Run, kept: Arrays) -> Run:
     InputError
         If it belongs to another mesh or fit.
     """
+    former, optics = None, None
+    if is_plain(run.fitted.optics):  # else the settings hold what the fit had gone on with
+        before, optics = former_in(kept), objective_in(kept)
+        former = resumed(run, before) if before else None
     problem = problem_in(kept, run.problem)
-    run = run if problem is run.problem else run.on_ground(problem)
-    objective = objective_in(kept) if is_plain(run.fitted.optics) else None
-    if objective is None:
-        run.go_on_from(kept)
-        return run
-    former, before = None, former_in(kept)
-    if before:
-        former = run.again(run.fitted.first_optics)
-        former.go_on_from(before)
-    following = run.again(objective, former)
-    following.go_on_from(kept)
-    return following
+    found = run.again(optics or run.fitted.first_optics, former, problem)
+    found.go_on_from(kept)
+    return found
 
 
 def _on_ground(run: Run, problem: Problem) -> Run:
@@ -158,7 +194,7 @@ def _on_ground(run: Run, problem: Problem) -> Run:
     With two Gaussians, which come late, as it has ended: 20 real nuclei took 1.5 times as long
     where all that may shine was asked for again, and were as near (mean Dice 0.948, 0.947 without).
     """
-    further = run.on_ground(problem)
+    further = run.again(run.fitted.first_optics, problem=problem)
     if isinstance(run.fitted.optics, GaussianMixturePSF):
         further.go_on_at(run.fitted, all_shines=False, policy=run.checkpoint().policy)
     else:
@@ -202,6 +238,8 @@ def is_given_up(run: Run, former: Run | None) -> bool:
         return False
     if _became_narrow(run, former):
         return True
+    if _explains_more(run, former):
+        return False  # it may still go through another PSF
     return run.objective.leaves_over(former.posed_here()) > _BEHIND
 
 
@@ -214,10 +252,17 @@ def _became_narrow(run: Ending, former: Ending) -> bool:
 
 def _back(run: Run, former: Run) -> Run | None:
     """The fit before, where its end explains more, or this one's PSF cannot be; None else."""
-    narrow = _became_narrow(run, former)
-    most = _AS_MUCH if _tried(run.fitted.optics) == _TILT else 1.0
-    if not narrow and run.objective.leaves_over(former.posed_here()) <= most:
+    narrow, kind = _became_narrow(run, former), _tried(run, former)
+    if not narrow and _leaves_less(run, former, kind):
         return None
-    run.say(NARROW if narrow else BACK)
-    former.come_back(run.stage, _tried(run.fitted.optics))
+    run.say(EVEN if kind == _SURROUNDINGS else NARROW if narrow else BACK)
+    former.come_back(run.stage, kind)
     return former
+
+
+def _leaves_less(run: Run, former: Run, kind: int) -> bool:
+    """Whether a run explains enough more than the former one."""
+    before = former.posed_here()
+    if kind == _SURROUNDINGS:
+        return explains_more_beside(run.objective, before)
+    return run.objective.leaves_over(before) <= (_AS_MUCH if kind == _TILT else 1.0)

@@ -63,6 +63,7 @@ class StateFacts:
     light: Plain
     pinned: bool
     dimmed: bool
+    local_background: bool = False
     cone: bool
     unsure: bool
     moving: Triple | None

@@ -44,6 +44,8 @@ def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult
         archive.add_array("state/pinned", np.asarray(state.pinned, bool))
     if state.dimmed is not None:
         archive.add_array("state/dimmed", state.dimmed)
+    if state.local_background is not None:
+        archive.add_array("state/local_background", state.local_background)
     if result.counted is not None:
         archive.add_array("counted", result.counted)
     for name in ("loss", "blur"):
@@ -62,6 +64,7 @@ def result_facts(archive: ArchiveWriter, meshes: MeshWriter, result: SavedResult
             light=asdict(state.light),
             pinned=state.pinned is not None,
             dimmed=state.dimmed is not None,
+            local_background=state.local_background is not None,
         ),
         first=history.first,
         seconds=result.seconds,
@@ -105,6 +108,9 @@ def saved_result(archive: ArchiveReader, facts: ResultFacts, grid: Grid) -> Save
         light=Light.from_dict(shown.light),
         pinned=archive.array("state/pinned") if shown.pinned else None,
         dimmed=archive.array("state/dimmed") if shown.dimmed else None,
+        local_background=(
+            archive.array("state/local_background") if shown.local_background else None
+        ),
         grid=grid,
         accuracy=settings.fit.image_accuracy,
     )
@@ -114,6 +120,8 @@ def saved_result(archive: ArchiveReader, facts: ResultFacts, grid: Grid) -> Save
         raise InputError("its pins belong to another mesh")
     if state.dimmed is not None and state.dimmed.shape != grid.shape:
         raise InputError("its nuclei belong to another image")
+    if state.local_background is not None and state.local_background.shape != grid.shape:
+        raise InputError("its local background belongs to another image")
     return SavedResult(
         settings=settings,
         state=state,

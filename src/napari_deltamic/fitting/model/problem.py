@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ...errors import InputError
@@ -41,6 +42,9 @@ class Problem:
         is given, and not to be found.
     frame
         Grid of the whole image, where this one is a piece of it.
+    local_background
+        (Z, Y, X) what was subtracted from the image (:mod:`..voxels.local_background`); None:
+        nothing.
 
     Raises
     ------
@@ -56,6 +60,7 @@ class Problem:
     hot: int = 0
     anew: int | None = None
     frame: Grid | None = None
+    local_background: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         _check_enough(self.counted)

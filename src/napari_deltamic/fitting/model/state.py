@@ -14,6 +14,7 @@ from ...common.writing import write_atomically
 from ...errors import InputError
 from ...geometry.archive import opened
 from ...geometry.mesh import Mesh
+from ...images.missing import unmasked
 from ...optics import Optics
 from ...scene import Grid, expected_image
 from ...scene.effects import Effects
@@ -67,6 +68,9 @@ class FitState:
     counted
         (Z, Y, X) bool: voxels that may count, where that was found anew on the way; None: those
         that were given.
+    local_background
+        (Z, Y, X) float32: what lies around the cells and was subtracted from the image; None:
+        nothing. The rendered image has it.
     grid, accuracy
         Of the image that it renders; an accuracy of 0 is exact.
     """
@@ -93,6 +97,7 @@ class FitState:
     unsure: bool = False
     dimmed: np.ndarray | None = None
     counted: np.ndarray | None = None
+    local_background: np.ndarray | None = None
     grid: Grid | None = None
     accuracy: float = 0.0
     _image: np.ndarray | None = field(repr=False, default=None)
@@ -114,7 +119,14 @@ class FitState:
             effects=self.effects,
             light=self.light,
         )
-        return with_nuclei(even, self.dimmed, self.background, self.effects, self.grid)
+        found = with_nuclei(even, self.dimmed, self.background, self.effects, self.grid)
+        return found if self.local_background is None else found + self.local_background
+
+    def without_local_background(self, image: np.ndarray) -> np.ndarray:
+        """(Z, Y, X) an image of this scene as the fit explains it."""
+        if self.local_background is None:
+            return image
+        return np.asarray(unmasked(image) - self.local_background, np.float32)
 
     def showing(self, image: np.ndarray) -> FitState:
         """The same, with its image, which was rendered already."""

@@ -252,7 +252,7 @@ class Objective:
         level, optics = self.terms.level, self.fitted.optics
         if level.factor != 1:
             return False
-        seen, shown = self._seen_and_shown()
+        seen, shown = self.seen_and_shown()
         return is_sharpened(seen - shown, optics.sigma_um, level.grid.voxel_size)
 
     def dark_insides_denied(self) -> bool:
@@ -260,7 +260,7 @@ class Objective:
         if self.now.light.interior >= 0:
             return False
         counted = self.terms.level.counted.cpu().numpy()
-        shares = dark_insides_shown(self._cells(), *self._seen_and_shown(), counted).values()
+        shares = dark_insides_shown(self._cells(), *self.seen_and_shown(), counted).values()
         return bool(shares) and median(shares) < DEEP.shown
 
     def deep_brightness(self) -> float | None:
@@ -292,11 +292,16 @@ class Objective:
         over = inside_over_membrane(self.now.light, fitted.optics.sigma_um)
         return least * over, most * over
 
-    def _seen_and_shown(self) -> tuple[np.ndarray, np.ndarray]:
+    def seen_and_shown(self) -> tuple[np.ndarray, np.ndarray]:
         """(Z, Y, X) images: measured, without what effects add, and as the descent has it."""
         found = self.now.match
         shown = found.amplitude * self.now.rendered + found.background
         return self._seen().detach().cpu().numpy(), shown.detach().cpu().numpy()
+
+    def own_light(self) -> NDArray[np.floating]:
+        """(Z, Y, X) what the scene adds to the measured image, without background."""
+        shown: NDArray[np.floating] = (self.now.match.amplitude * self.now.rendered).cpu().numpy()
+        return shown
 
     def _seen(self) -> Tensor:
         """(Z, Y, X) measured, without what effects add."""

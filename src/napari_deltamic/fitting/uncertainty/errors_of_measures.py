@@ -56,6 +56,7 @@ def posed_at(
     settings = settings or FitSettings()
     if state.effects.view is not None:
         raise InputError("exact errors are there for one view only")
+    image = state.without_local_background(image)
     problem = replace(Problem.of(image, grid, may_count), frame=frame)
     if settings.accuracy is None:
         accuracy = accuracy_for_image(problem.image, problem.counted)

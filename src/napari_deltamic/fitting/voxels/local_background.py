@@ -1,0 +1,136 @@
+"""The local background of cells: light around them that is not theirs, such as cytoplasm of nuclei.
+
+A fit knows one background. Where nuclei lie in cytoplasm that shines, too, a PSF that is much too
+wide stands in for it, and nuclei come out too small. Further from the surfaces than their own light
+reaches, the image shows what surrounds them; from there it is continued across the cells, and
+subtracted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from ...common.doing import doing
+from ...common.gaussian_blur import blurred
+from ...geometry.labels.voxels import voxel_labels
+from ...geometry.mesh import FloatArray, Mesh
+from ...images.missing import filled
+from ...scene import Grid
+from ..model.problem import Problem
+
+Widths = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class LocalBackgroundRules:
+    """Where the image shows a local background, and how it is continued.
+
+    Distances are in widths of the PSF, and in voxels where these are wider.
+
+    Attributes
+    ----------
+    beyond
+        From a surface, and from light of other objects: from there on, the light of both has ended.
+        Chosen; measured on ten nuclei in cytoplasm, with as narrow a PSF as they are tried with:
+        2.5 left 0.3 to 1.8 voxels of error, 1.8 0.2 to 1.2, 1.5 0.2 to 0.5, 1.3 as much, and nuclei
+        10 to 15 % too small.
+    nearer
+        The same where the light of the cells is known and subtracted. Chosen, with the former.
+    smooth
+        The narrowest blur of what is known, so that it does not follow the noise. Chosen: of a PSF
+        as narrow as a voxel, a hundredth of the variance is left. With a third of that, a local
+        background explained more than the true PSF with long tails.
+    share
+        Of the weights of a blur: it is known where as many rest on voxels so far away. Chosen.
+    wider
+        Times as wide a blur is as the one before, which reached too few of them; chosen.
+    widest
+        Times as wide as the first the widest is; deeper inside cells, the nearest known value does.
+        Chosen.
+    cut_off
+        Standard deviations at which a blur is truncated; chosen.
+    """
+
+    beyond: float = 1.5
+    nearer: float = 1.2
+    smooth: float = 1.2
+    share: float = 0.15
+    wider: float = 1.5
+    widest: float = 16.0
+    cut_off: float = 3.0
+
+
+RULES = LocalBackgroundRules()
+
+
+def with_local_background(
+    problem: Problem, mesh: Mesh, sigma: Widths, own: NDArray[np.floating] | None = None
+) -> Problem | None:
+    """The problem whose image is without its local background; None where hardly any is seen.
+
+    Parameters
+    ----------
+    problem
+        Without one.
+    mesh
+        The surfaces, um.
+    sigma
+        um, Z Y X: widths of the PSF.
+    own
+        (Z, Y, X) light of the cells, where it is known.
+    """
+    beyond = RULES.beyond if own is None else RULES.nearer
+    spacing = spacing_for(problem.grid, sigma)
+    foreign, grid = problem.foreign, problem.grid
+    labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
+    doing()
+    away = distance_transform_edt(labels == 0, sampling=spacing)
+    known = problem.counted & (away > beyond)
+    if foreign is not None and foreign.any():
+        doing()
+        known &= distance_transform_edt(~foreign, sampling=spacing) > RULES.beyond
+    shell = (away > beyond) & (away < 2 * beyond)
+    if known[shell].sum() <= RULES.share * shell.sum():
+        return None
+    found = _continued(
+        problem.image if own is None else problem.image - own, known, RULES.smooth / spacing
+    )
+    # What is even belongs to the background of the fit.
+    found -= np.float32(np.median(found[known]))
+    return replace(problem, image=problem.image - found, local_background=found)
+
+
+def spacing_for(grid: Grid, sigma: Widths) -> FloatArray:
+    """(3,) sides of voxels in widths of the PSF, or in voxels where these are wider.
+
+    Nearer to a surface than a voxel, there is none.
+    """
+    return np.minimum(np.asarray(grid.voxel_size) / np.asarray(sigma), 1.0)
+
+
+def _continued(
+    image: NDArray[np.floating], known: NDArray[np.bool_], widths: FloatArray
+) -> NDArray[np.float32]:
+    """(Z, Y, X) the smoothed image where it is known, continued to where it is not.
+
+    Each voxel takes the narrowest blur that reaches enough known ones. widths : voxels.
+    """
+    values = np.where(known, image, 0).astype(np.float32)
+    found = np.full(image.shape, np.nan, np.float32)
+    for step in count():
+        scale = RULES.wider**step
+        if scale > RULES.widest or np.isfinite(found).all():
+            break
+        doing()
+        total, share = (
+            blurred(part, tuple(scale * widths), RULES.cut_off)
+            for part in (values, known.astype(np.float32))
+        )
+        new = np.isnan(found) & (share > RULES.share)
+        found[new] = total[new] / share[new]
+    return np.asarray(filled(found), np.float32)
