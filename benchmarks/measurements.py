@@ -20,9 +20,10 @@ import numpy as np
 
 import napari_deltamic as nd
 from benchmarks.double_bubble import DoubleBubble
+from benchmarks.shapes import torus
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.job import assemble, start
-from napari_deltamic.geometry import mesh_from_labels, sphere, torus
+from napari_deltamic.geometry import mesh_from_labels, sphere
 from napari_deltamic.measure import Measurements, measure
 from napari_deltamic.measure.of_fit import known_of, replicas_at
 from napari_deltamic.runs.settings import RunSettings, SceneSettings

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.joined_spheres import joined_spheres
+from benchmarks.shapes import scaled
 from napari_deltamic import GaussianPSF, Grid, Mesh, load_mesh, render
 from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.measure import junction_angles, surface_distance
@@ -69,7 +70,7 @@ def cell4(options: Options) -> list[Row]:
         raise MissingData(f"no {path.name} in {path.parent} (DELTAMIC_DATA names the folder)")
     truth = load_mesh(path)
     low, high = truth.bounds()
-    truth = truth.translated(-(low + high) / 2).scaled(60 / float((high - low).max()))
+    truth = scaled(truth.translated(-(low + high) / 2), 60 / float((high - low).max()))
     truth = truth.translated((39.5,) * 3)
     grid, sigma = Grid((80, 80, 80), (1.0, 1.0, 1.0)), 2.0
     cells = looks(truth).values()

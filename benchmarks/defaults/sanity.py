@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter, shift
 
+from benchmarks.shapes import scaled
 from napari_deltamic import Mesh
 from napari_deltamic.evidence.compressed_brightness import bright_over_dark
 from napari_deltamic.evidence.sanity import (
@@ -75,7 +76,7 @@ def z_times(case: Case, factor: float) -> Case:
     z, y, x = case.voxel_size
     seeds = case.seeds
     if case.close and seeds is not None:
-        seeds = seeds.scaled((factor, 1, 1))
+        seeds = scaled(seeds, (factor, 1, 1))
     wrong = (z * factor, y, x)
     return replace(case, voxel_size=wrong, seeds=seeds, expected="voxel size")
 

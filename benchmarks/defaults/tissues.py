@@ -21,7 +21,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from napari_deltamic.geometry.labels.bright_cells import cells_of
-from napari_deltamic.geometry.labels.cell_sizes import suggest_size
+from napari_deltamic.geometry.labels.cell_sizes import suggest_sizes
 from napari_deltamic.geometry.labels.find_cells import find_cells
 
 from ..figure import Row, at_least, at_most
@@ -136,7 +136,7 @@ def membranes(scenes: Iterable[Scene]) -> list[Row]:
         labels = scene.all_labels
         volumes = np.bincount(labels[labels > 0])[1:] * np.prod(scene.voxel_size)
         true = float(np.cbrt(6 / np.pi * np.median(volumes)))
-        size = suggest_size(scene.image, scene.voxel_size)
+        size = suggest_sizes(scene.image, scene.voxel_size)[0].size
         found = find_cells(scene.image, scene.voxel_size, size)
         shares.append(matched(found, labels))
         close += abs(size / true - 1) <= WITHIN

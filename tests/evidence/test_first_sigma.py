@@ -91,7 +91,7 @@ def test_a_psf_six_voxels_long_is_told():
 def disc(grid, sigma, seed=0):
     """Photons of a flat cell, a third as high as it is wide."""
     middle = (np.asarray(grid.shape) - 1) * np.asarray(grid.voxel_size) / 2
-    cell = sphere((0, 0, 0), 1.0, subdivisions=4).scaled((1.0, 3.2, 3.2)).translated(middle)
+    cell = sphere(middle, (1.0, 3.2, 3.2), subdivisions=4)
     image = render(cell, grid, GaussianPSF(sigma), 1e-2).numpy().clip(0)
     return np.random.default_rng(seed).poisson(2 + 60 * image / image.max()).astype(np.float32)
 

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from benchmarks.shapes import box
 from scipy.linalg import eigh
 
 from napari_deltamic import Mesh
 from napari_deltamic.evidence.modes import density_fields, shape_modes
-from napari_deltamic.geometry import box, sphere
+from napari_deltamic.geometry import sphere
 
 BALL = sphere((0, 0, 0), 2.0, subdivisions=3)
 

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from benchmarks.shapes import box
 
 from napari_deltamic.fitting.model.shape import Shape
 from napari_deltamic.fitting.objective.fit_objective import Objective
@@ -14,7 +15,7 @@ from napari_deltamic.fitting.rivals.rival_structures import (
     gains_exceed_error,
     moved_in,
 )
-from napari_deltamic.geometry import Mesh, box, sphere
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.geometry.remeshing import can_remesh
 from napari_deltamic.geometry.topology.crossings import crosses
 

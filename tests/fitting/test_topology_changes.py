@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from benchmarks.shapes import torus
 from noisy_cells import events_of, photographed
 
 from napari_deltamic import Change, GaussianPSF, Mesh, fit
 from napari_deltamic.fitting.surface import topology_trials as module
 from napari_deltamic.fitting.surface.topology import TopologyPolicy
 from napari_deltamic.fitting.surface.topology_trials import TopologyTrials
-from napari_deltamic.geometry import remesh, sphere, torus
+from napari_deltamic.geometry import remesh, sphere
 from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh

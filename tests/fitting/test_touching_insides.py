@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from benchmarks.shapes import scaled
 
 import napari_deltamic as nd
 from napari_deltamic.fitting.objective import pose
@@ -77,7 +78,7 @@ def test_a_level_without_voxels_is_not_asked_what_shines() -> None:
     truth = sphere(np.full(3, 0.8), 0.5, edge_length=0.2)
     shown = nd.scene.expected_image(truth, grid, optics, 1e-3, 1.0, 0.0)
     counted = np.random.default_rng(0).poisson(60 * shown / shown.max() + 5)
-    start, settings = truth.scaled(0.9), FitSettings(levels=(5.0, 1.0))
+    start, settings = scaled(truth, 0.9), FitSettings(levels=(5.0, 1.0))
     *_, last = nd.fit(counted.astype(np.float32), grid, start, optics, settings=settings)
     assert structure_of(last.light) == "membrane"
     assert last.mesh.region_volume(1) == pytest.approx(truth.region_volume(1), rel=0.25)

@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
+from benchmarks.shapes import box
 from numpy.testing import assert_array_equal
 from scipy.ndimage import gaussian_filter
 
 from napari_deltamic import GaussianPSF, Grid, Mesh
 from napari_deltamic.fitting import counted_voxels
 from napari_deltamic.fitting.voxels.voxel_ownership import counted_around, surface_voxels
-from napari_deltamic.geometry import box, sphere
+from napari_deltamic.geometry import sphere
 from synthetic import CENTER, GRID, OPTICS, RADIUS, TRUTH, measured
 
 

@@ -6,13 +6,14 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from benchmarks.shapes import box
 from numpy.testing import assert_allclose
 
 import napari_deltamic as nd
 from napari_deltamic.errors import SlowPathWarning
 from napari_deltamic.fourier import Band, simd_level
 from napari_deltamic.fourier.closed_form import band_ft
-from napari_deltamic.geometry import box, sphere
+from napari_deltamic.geometry import sphere
 from napari_deltamic.scene import Renderer, Scene
 from reference import quadrature_ft
 

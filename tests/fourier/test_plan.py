@@ -8,6 +8,7 @@ from math import factorial
 import numpy as np
 import pytest
 import torch
+from benchmarks.shapes import box, scaled
 from numpy.testing import assert_allclose
 
 import napari_deltamic as nd
@@ -24,7 +25,7 @@ from napari_deltamic.fourier.falloff import (
     threshold_for,
 )
 from napari_deltamic.fourier.quadrature import DEGREES, choose_rules, rule
-from napari_deltamic.geometry import box, sphere
+from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.scene import Renderer, Scene
 from napari_deltamic.scene.structures import Solid
@@ -67,7 +68,7 @@ def mesh_named(name, folder=None):
         warnings.simplefilter("ignore", RepairWarning)
         mesh = nd.load_mesh(folder / FILES[name])
     low, high = mesh.bounds()
-    return mesh.translated(-(low + high) / 2).scaled(2.6 / (high - low).max())
+    return scaled(mesh.translated(-(low + high) / 2), 2.6 / (high - low).max())
 
 
 @cache

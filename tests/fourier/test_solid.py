@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 from any_wavevectors import solid_ft
+from benchmarks.shapes import box, scaled
 from numpy.testing import assert_allclose
 
 import napari_deltamic as nd
 from napari_deltamic.fourier.solid import contrasts, solid_transform
-from napari_deltamic.geometry import Mesh, box, sphere
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.scene import Renderer, Scene, Solid
 from reference import DIGITS, exact_simplex
 
@@ -71,8 +72,8 @@ def with_an_empty_face():
 
 SHAPES = {
     "tetrahedron": tetrahedron(),
-    "tiny": tetrahedron().scaled(1e-6),
-    "huge": tetrahedron().scaled(1e6),
+    "tiny": scaled(tetrahedron(), 1e-6),
+    "huge": scaled(tetrahedron(), 1e6),
     "flat": tetrahedron(1e-4),
     "box along the axes": box((0.3, 0.2, -0.1), (1.0, 2.0, 0.5)),
     "needle": box((0.0, 0.0, 0.0), (1e-3, 1e-3, 2.0)),

@@ -6,6 +6,7 @@ from statistics import median
 import numpy as np
 import pytest
 import torch
+from benchmarks.shapes import box
 from numpy.testing import assert_allclose
 
 from napari_deltamic.fourier import Band
@@ -15,7 +16,7 @@ from napari_deltamic.fourier.particle_mesh import elements_ft
 from napari_deltamic.fourier.points import Points
 from napari_deltamic.fourier.quadrature import rule
 from napari_deltamic.fourier.spreading import choose_spreading, gaussian, grid_size
-from napari_deltamic.geometry import Mesh, box, sphere
+from napari_deltamic.geometry import Mesh, sphere
 
 # ------------------------------------------------------------------------------------- kernels
 

@@ -5,8 +5,9 @@ import pytest
 from scipy import ndimage
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry import find_cells, mesh_from_labels, suggest_size
+from napari_deltamic.geometry import find_cells, mesh_from_labels
 from napari_deltamic.geometry.labels.basins import border_area
+from napari_deltamic.geometry.labels.cell_sizes import likeliest, suggest_sizes
 from napari_deltamic.geometry.labels.find_cells import walled_cells
 
 VOXEL = np.array([0.4, 0.25, 0.25])
@@ -140,7 +141,7 @@ def test_a_cell_that_the_image_cuts_is_kept():
 def test_the_size_suggested_finds_the_cells(centers):
     truth = owners(centers)
     image = photographed(truth)
-    size = suggest_size(image, VOXEL)
+    size = suggest_sizes(image, VOXEL)[0].size
     assert 0.7 * 2 * RADIUS < size < 1.4 * 2 * RADIUS
     check(image, truth, size=size)
 
@@ -177,7 +178,7 @@ def test_refused(name):
 def test_no_size_is_suggested(name):
     image, voxel, _, message = BAD[name]
     with pytest.raises(InputError, match=message):
-        suggest_size(image, voxel)
+        suggest_sizes(image, voxel)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +195,7 @@ def test_in_noise_alone_there_are_no_cells(sigma):
     noise = ndimage.gaussian_filter(np.random.default_rng(3).normal(0, 1, SHAPE), sigma)
     with pytest.raises(InputError, match="no cells of about 5 um were found"):
         find_cells(noise, VOXEL, 5.0)
-    assert suggest_size(noise, VOXEL) > 0
+    assert likeliest(suggest_sizes(noise, VOXEL), noise.shape, VOXEL) > 0
 
 
 def test_gaps_between_cells_are_no_cells():

@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
+from benchmarks.shapes import box, torus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic.errors import InputError, RepairWarning
-from napari_deltamic.geometry import Mesh, box, load_mesh, repair, sphere, torus
+from napari_deltamic.geometry import Mesh, load_mesh, repair, sphere
 
 
 def parts(mesh):

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+from benchmarks.shapes import box, torus
 from numpy.testing import assert_allclose
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry import Mesh, box, sphere, torus
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import smallest_angles
 from napari_deltamic.geometry.topology.region_edits import divide_region, remove_region

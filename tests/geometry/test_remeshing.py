@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from benchmarks.shapes import box, torus
 from numpy.testing import assert_allclose, assert_array_equal
 
 from napari_deltamic import InputError, Mesh
-from napari_deltamic.geometry import box, remesh, sphere, torus
+from napari_deltamic.geometry import remesh, sphere
 from napari_deltamic.geometry import remeshing as module
 from napari_deltamic.geometry.labels.partition import partition_mesh
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles

@@ -4,10 +4,11 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from benchmarks.shapes import torus
 from numpy.testing import assert_allclose
 
 from napari_deltamic import InputError, Mesh
-from napari_deltamic.geometry import remesh, sphere, torus
+from napari_deltamic.geometry import remesh, sphere
 from napari_deltamic.geometry.contacts import contacts
 from napari_deltamic.geometry.foam import foam
 from napari_deltamic.geometry.remeshing import can_remesh, smallest_angles

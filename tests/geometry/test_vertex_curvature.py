@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from benchmarks.double_bubble import DoubleBubble
+from benchmarks.shapes import torus
 
 from napari_deltamic import Mesh
-from napari_deltamic.geometry import sphere, torus
+from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.vertex_curvature import vertex_curvature
 
 

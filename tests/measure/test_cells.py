@@ -1,9 +1,10 @@
 from math import isnan, pi
 
 import numpy as np
+from benchmarks.shapes import box
 from numpy.testing import assert_allclose
 
-from napari_deltamic.geometry import Mesh, box, sphere
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.measure import measure_cells
 
 

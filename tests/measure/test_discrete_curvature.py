@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 from benchmarks.double_bubble import DoubleBubble
-from shapes import kelvin_cell
+from benchmarks.shapes import box, torus
 
-from napari_deltamic.geometry import Mesh, box, sphere, torus
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.measure.discrete_curvature import (
     cell_curvature,
     wall_curvature,
 )
 from napari_deltamic.measure.sides import Sides
+from shapes import kelvin_cell
 
 FAR = (300.0, -200.0, 100.0)
 

@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.double_bubble import DoubleBubble
-from shapes import kelvin_cell
+from benchmarks.shapes import box, torus
 
 from napari_deltamic.common.table import Column, table_of
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry import Mesh, box, sphere, torus
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.geometry.judgement import Judgement
 from napari_deltamic.geometry.replicas import Replicas
 from napari_deltamic.measure import Known, measure
 from napari_deltamic.measure.cells import COLUMNS
 from napari_deltamic.measure.channel_tables import CHANNEL_CELL_COLUMNS, CHANNEL_WALL_COLUMNS
 from napari_deltamic.scene import Grid
+from shapes import kelvin_cell
 
 ROUND = Grid((12, 12, 12), (1.0, 1.0, 1.0), (-5.5, -5.5, -5.5))
 

@@ -5,10 +5,11 @@ from math import nan, pi
 
 import numpy as np
 import pytest
+from benchmarks.shapes import box, torus
 from numpy.testing import assert_allclose
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry import Mesh, box, sphere, torus
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.measure import section
 
 

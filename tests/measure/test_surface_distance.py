@@ -2,12 +2,13 @@ import time
 
 import numpy as np
 import pytest
+from benchmarks.shapes import box, torus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.geometry import Mesh, box, sphere, torus
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.measure import distance_to_surface, surface_distance
 
 

@@ -190,7 +190,7 @@ def test_contours_lie_where_the_membrane_is():
     grid = nd.Grid((21, 21, 21), (0.4, 0.2, 0.2))
     image = np.zeros(grid.shape, np.float32)
     image[:, 5, 5:16] = image[:, 15, 5:16] = image[:, 5:16, 5] = image[:, 5:16, 15] = 1000
-    from napari_deltamic.geometry import box
+    from benchmarks.shapes import box
 
     mesh = box((4, 2, 2), (6, 2, 2), edge_length=0.5)
     pixels = drawn(image, image, mesh, grid).astype(int)

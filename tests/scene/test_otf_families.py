@@ -6,9 +6,10 @@ from statistics import median
 import numpy as np
 import pytest
 import torch
+from benchmarks.shapes import box
 
 import napari_deltamic as nd
-from napari_deltamic.geometry import box, sphere
+from napari_deltamic.geometry import sphere
 from napari_deltamic.optics import MeasuredPSF
 
 GRID = nd.Grid((22, 26, 28), (0.2, 0.1, 0.1))

@@ -5,10 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from benchmarks.shapes import box
 from numpy.testing import assert_allclose
 
 import napari_deltamic as nd
-from napari_deltamic.geometry import Mesh, box, sphere
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.optics import microscope
 from napari_deltamic.scene import (
     Filament,
@@ -209,17 +210,6 @@ def test_regions_shine_as_they_are_told():
 
     assert_allclose(image(0.5), (image(1.0) + image(0.0)) / 2, atol=1e-6)
     assert image(0.0).sum() == pytest.approx(float(image(1.0).sum()) / 2, rel=0.1)
-
-
-def test_a_scene_with_another_surface_has_its_inside():
-    moved = BALL.translated((0.1, 0.0, 0.0))
-    scene = Scene((Surface(BALL), Solid(BALL, 0.7), Points(CENTRE[None])), OPTICS)
-    surface, solid, points = scene.with_surface(moved, 2.0).structures
-    assert surface.mesh is moved
-    assert surface.density == 2.0
-    assert_allclose(solid.mesh.vertices_numpy(), moved.vertices_numpy())
-    assert solid.density == 0.7
-    assert points is scene.structures[2]
 
 
 def test_a_psf_that_changes_with_depth_is_seen_by_all():

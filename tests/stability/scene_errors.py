@@ -10,10 +10,11 @@ from functools import cache
 
 import numpy as np
 import torch
+from benchmarks.shapes import box, scaled
 from scipy.ndimage import gaussian_filter
 
 import napari_deltamic as nd
-from napari_deltamic.geometry import Mesh, box, sphere
+from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.scene import Renderer, Scene
 
 GRID = nd.Grid((24, 26, 25), (0.1, 0.1, 0.1))
@@ -75,7 +76,7 @@ def scenes():
     for name, unit in (("nm", 1e3), ("m", 1e-6)):
         grid = nd.Grid(GRID.shape, tuple(unit * d for d in GRID.voxel_size))
         sigma = tuple(unit * s for s in OPTICS.sigma_um)
-        out[f"units of {name}"] = (ball.scaled(unit), grid, nd.GaussianPSF(sigma))
+        out[f"units of {name}"] = (scaled(ball, unit), grid, nd.GaussianPSF(sigma))
     return out
 
 

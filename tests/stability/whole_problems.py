@@ -15,6 +15,7 @@ from unittest import mock
 
 import numpy as np
 import torch
+from benchmarks.shapes import scaled
 
 import napari_deltamic as nd
 from napari_deltamic.fitting.level_run import LevelRun
@@ -203,7 +204,7 @@ def fit_hard_mesh(path: Path, iterations: int = 50) -> HardMesh:
             return HardMesh(path.name, refused=str(error).removeprefix(f"{path}: "))
     grid = nd.Grid((20, 20, 20), (0.1, 0.1, 0.1))
     low, high = (np.asarray(b) for b in mesh.bounds())
-    mesh = mesh.translated(-(low + high) / 2).scaled(1.3 / (high - low).max())
+    mesh = scaled(mesh.translated(-(low + high) / 2), 1.3 / (high - low).max())
     mesh = mesh.translated((0.95, 0.95, 0.95))
     optics = nd.GaussianPSF(0.13)
     image = photons(mesh, grid, optics, None)
@@ -279,5 +280,5 @@ def _end_in(unit: float, accuracy: float, iterations: int) -> np.ndarray:
     optics = nd.GaussianPSF(tuple(unit * s for s in OPTICS.sigma_um))
     settings = FitSettings(accuracy=accuracy, levels=(1.9, 1.0), max_iterations=iterations)
     image = photons(TRUTH, GRID, OPTICS, 3)
-    *_, last = nd.fit(image, grid, start().scaled(unit), optics, settings=settings)
+    *_, last = nd.fit(image, grid, scaled(start(), unit), optics, settings=settings)
     return last.mesh.vertices_numpy() / unit

@@ -1,12 +1,11 @@
 from .files import load_mesh, save_mesh
-from .labels.cell_sizes import suggest_size
 from .labels.find_cells import find_cells
 from .labels.label_edits import Click, correct_labels
 from .labels.label_repair import RepairedLabels, repair_labels
 from .labels.meshes import mesh_from_labels
 from .mesh import OUTSIDE, Mesh
 from .mesh_repair import repair
-from .primitives import box, sphere, torus
+from .primitives import sphere
 from .remeshing import Remeshed, remesh
 from .seed_points import (
     labels_from_points,
@@ -22,7 +21,6 @@ __all__ = [
     "Mesh",
     "Remeshed",
     "RepairedLabels",
-    "box",
     "correct_labels",
     "find_cells",
     "fix_windings",
@@ -37,6 +35,4 @@ __all__ = [
     "save_mesh",
     "seeds_from_points",
     "sphere",
-    "suggest_size",
-    "torus",
 ]

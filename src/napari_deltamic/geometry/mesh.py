@@ -90,16 +90,6 @@ class Mesh:
         """The mesh moved by ``offset``, (3,) um in Z, Y, X order."""
         return self.with_vertices(self.vertices + _like(_triple(offset, "offset"), self.vertices))
 
-    def scaled(self, factor: float | Sequence[float] | FloatArray) -> Mesh:
-        """The mesh scaled about the origin by one positive factor, or one per axis Z, Y, X.
-
-        Raises InputError for a factor that is not positive: mirroring would turn the normals.
-        """
-        factors = _triple(factor, "factor")
-        if not (factors > 0).all():
-            raise InputError("scale factors must be positive")
-        return self.with_vertices(self.vertices * _like(factors, self.vertices))
-
     def bounds(self) -> FloatArray:
         """Lowest and highest vertex coordinates, (2, 3) um Z, Y, X."""
         vertices = self.vertices_numpy()

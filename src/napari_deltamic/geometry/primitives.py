@@ -1,9 +1,9 @@
-"""Simple closed surfaces: starting shapes, examples, tests. All positions are um, Z, Y, X."""
+"""Spheres and ellipsoids. All positions are um, Z, Y, X."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, pi, sqrt
+from math import ceil, sqrt
 
 import numpy as np
 
@@ -49,79 +49,6 @@ def sphere(
     return _outward(points * radii + _triple(center, "center"), triangles)
 
 
-def torus(
-    center: Sequence[float] | FloatArray,
-    major_radius: float,
-    minor_radius: float,
-    edge_length: float | None = None,
-) -> Mesh:
-    """Make a torus around the Z axis.
-
-    Parameters
-    ----------
-    center : (3,) um, Z, Y, X.
-    major_radius : um; from the centre to the middle of the tube.
-    minor_radius : um; of the tube; smaller than major_radius.
-    edge_length : um; about this or shorter; by default minor_radius / 4.
-
-    Raises InputError if a size is not positive or the tube meets itself.
-    """
-    major, minor = (
-        float(_positive(value, name)[0])
-        for value, name in ((major_radius, "major_radius"), (minor_radius, "minor_radius"))
-    )
-    if minor >= major:
-        raise InputError("minor_radius must be smaller than major_radius")
-    edge = minor / 4 if edge_length is None else edge_length
-    n, m = (max(3, _count(2 * pi * length, edge)) for length in (major + minor, minor))
-    _check_size(2 * n * m)
-    around, tube = np.meshgrid(
-        np.arange(n) * (2 * pi / n), np.arange(m) * (2 * pi / m), indexing="ij"
-    )
-    ring = major + minor * np.cos(tube)
-    points = np.stack([minor * np.sin(tube), ring * np.sin(around), ring * np.cos(around)], axis=-1)
-    index = np.arange(n * m).reshape(n, m)
-    index = np.pad(index, ((0, 1), (0, 1)), mode="wrap")
-    return _outward(points.reshape(-1, 3) + _triple(center, "center"), _grid_faces(index))
-
-
-def box(
-    center: Sequence[float] | FloatArray,
-    size: float | Sequence[float],
-    edge_length: float | None = None,
-) -> Mesh:
-    """Make a box with sides along Z, Y, X.
-
-    Parameters
-    ----------
-    center : (3,) um, Z, Y, X.
-    size : um; one number for a cube, or three side lengths (Z, Y, X).
-    edge_length : um; sides are cut in equal parts no longer than this (a triangle's diagonal is
-        up to sqrt(2) longer); by default they are not cut: 12 faces.
-
-    Raises InputError if a size is not positive.
-    """
-    sizes = _positive(size, "size")
-    counts = np.array([1 if edge_length is None else _count(s, edge_length) for s in sizes])
-    _check_size(4 * int(counts @ np.roll(counts, 1)))
-    lattice, faces, offset = [], [], 0
-    for axis in range(3):
-        first, second = (axis + 1) % 3, (axis + 2) % 3
-        shape = (int(counts[first]) + 1, int(counts[second]) + 1)
-        for end in (0, int(counts[axis])):
-            points = np.full((*shape, 3), end)
-            points[..., first], points[..., second] = np.indices(shape)
-            index = np.arange(points.size // 3).reshape(shape) + offset
-            lattice.append(points.reshape(-1, 3))
-            faces.append(
-                _grid_faces(index)[:, :: -1 if end else 1]
-            )  # opposite sides, opposite ways
-            offset += index.size
-    points, inverse = np.unique(np.concatenate(lattice), axis=0, return_inverse=True)
-    vertices = (points / counts - 0.5) * sizes + _triple(center, "center")
-    return _outward(vertices, inverse.reshape(-1)[np.concatenate(faces)])
-
-
 def _positive(value: float | Sequence[float], name: str) -> FloatArray:
     values = _triple(value, name)
     if not (np.isfinite(values).all() and (values > 0).all()):
@@ -145,12 +72,6 @@ def _check_size(n_faces: int) -> None:
 def _outward(vertices: FloatArray, faces: IntArray) -> Mesh:
     mesh = Mesh(vertices, faces)
     return mesh if mesh.region_volume(1) > 0 else Mesh(vertices, faces[:, ::-1])
-
-
-def _grid_faces(index: IntArray) -> IntArray:
-    """Return two triangles for each cell of a grid of vertex indices."""
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    return np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
 
 
 def _icosahedron() -> tuple[FloatArray, IntArray]:

@@ -125,10 +125,6 @@ class Renderer:
         renderer._last_otf = None, None
         return renderer
 
-    def holds_for(self, positions: np.ndarray) -> bool:
-        """Whether the plan still holds for these vertices (V, 3) um of the scene's mesh."""
-        return bool(np.abs(positions - self._moving[0].positions()).max() <= self.margin)
-
     def pads_enough_for(self, effects: Effects, optics: Optics) -> bool:
         """Whether the grid is padded enough for other effects, which may reach further."""
         formation = Formation(self.grid, self.frame, self.blur, effects)

@@ -66,19 +66,6 @@ class Scene:
         """The mesh of its first surface."""
         return self.surface.mesh
 
-    def with_surface(self, mesh: Mesh, density: Values = 1.0) -> Self:
-        """Return the scene with another first surface and its inside."""
-        first, moving = self.surface, self.on_one_mesh()
-
-        def changed(structure: Structure) -> Structure:
-            if structure is first:
-                return Surface(mesh, density)
-            if isinstance(structure, Solid) and structure in moving:
-                return Solid(mesh, structure.density)
-            return structure
-
-        return replace(self, structures=tuple(map(changed, self.structures)))
-
     def on_one_mesh(self) -> tuple[Structure, ...]:
         """The structures that move with the scene's mesh: those with the first one's triangles.
 

@@ -35,19 +35,6 @@ class SizeFound:
     score: float
 
 
-def suggest_size(image: ArrayLike, voxel_size: Sequence[float]) -> float:
-    """Estimate the diameter (um) of the cells of an image, as a start for `find_cells`.
-
-    It is the best of ``suggest_sizes``, or a quarter of the image if nothing is found.
-
-    Raises
-    ------
-    InputError
-        As `find_cells`.
-    """
-    return likeliest(suggest_sizes(image, voxel_size), np.shape(image), voxel_size)
-
-
 def likeliest(
     tried: Sequence[SizeFound], shape: Sequence[int], voxel_size: Sequence[float] | FloatArray
 ) -> float:
