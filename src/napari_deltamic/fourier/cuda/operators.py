@@ -6,90 +6,35 @@ computation runs on the CPU, which is slow and gives one warning.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
+from typing import Any
 
 from torch import Tensor
 
 from ..closed_form import _band_ft_backward, _mesh_ft, _mesh_ft_backward, band_ft
 from . import transform
 from .device import kernels
-from .fallback import on_cpu
 
 
-@_mesh_ft.register_kernel("cuda")
-def _mesh_ft_cuda(
-    vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool
-) -> Tensor:
-    k = kernels(vertices.device, single)
-    if k is None:
-        return on_cpu(
-            _mesh_ft, vertices, faces, density, wavevectors, single, back_to=vertices.device
+def _registered(operator: Any, compute: Callable[..., Any]) -> Callable[..., Any]:
+    """Register how kernels compute an operator, whose last argument is whether it is single."""
+
+    def run(*given: Any) -> Any:
+        *arguments, single = given
+        device = arguments[0].device
+        k = kernels(device, single)
+        if k is not None:
+            return compute(k, *arguments)
+        found = operator(
+            *(a.detach().resolve_conj().cpu() if isinstance(a, Tensor) else a for a in given)
         )
-    return transform.list_forward(k, vertices, faces, density, wavevectors)
+        return found.to(device) if isinstance(found, Tensor) else tuple(t.to(device) for t in found)
+
+    operator.register_kernel("cuda")(run)
+    return run
 
 
-@_mesh_ft_backward.register_kernel("cuda")
-def _mesh_ft_backward_cuda(
-    grad: Tensor,
-    vertices: Tensor,
-    faces: Tensor,
-    density: Tensor,
-    wavevectors: Tensor,
-    single: bool,
-) -> tuple[Tensor, Tensor]:
-    k = kernels(vertices.device, single)
-    if k is None:
-        return on_cpu(
-            _mesh_ft_backward,
-            grad,
-            vertices,
-            faces,
-            density,
-            wavevectors,
-            single,
-            back_to=vertices.device,
-        )
-    return transform.list_backward(k, grad, vertices, faces, density, wavevectors)
-
-
-@band_ft.register_kernel("cuda")
-def _band_ft_cuda(
-    vertices: Tensor,
-    faces: Tensor,
-    density: Tensor,
-    rows: Tensor,
-    spacing: Sequence[float],
-    single: bool,
-) -> Tensor:
-    k = kernels(vertices.device, single)
-    if k is None:
-        return on_cpu(
-            band_ft, vertices, faces, density, rows, spacing, single, back_to=vertices.device
-        )
-    return transform.band_forward(k, vertices, faces, density, rows, spacing)
-
-
-@_band_ft_backward.register_kernel("cuda")
-def _band_ft_backward_cuda(
-    grad: Tensor,
-    vertices: Tensor,
-    faces: Tensor,
-    density: Tensor,
-    rows: Tensor,
-    spacing: Sequence[float],
-    single: bool,
-) -> tuple[Tensor, Tensor]:
-    k = kernels(vertices.device, single)
-    if k is None:
-        return on_cpu(
-            _band_ft_backward,
-            grad,
-            vertices,
-            faces,
-            density,
-            rows,
-            spacing,
-            single,
-            back_to=vertices.device,
-        )
-    return transform.band_backward(k, grad, vertices, faces, density, rows, spacing)
+_mesh_ft_cuda = _registered(_mesh_ft, transform.list_forward)
+_mesh_ft_backward_cuda = _registered(_mesh_ft_backward, transform.list_backward)
+_band_ft_cuda = _registered(band_ft, transform.band_forward)
+_band_ft_backward_cuda = _registered(_band_ft_backward, transform.band_backward)
