@@ -6,6 +6,8 @@ seventh digit between 5 and 20.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,75 +15,25 @@ import scipy.special
 import torch
 from torch import Tensor
 
+Function = Callable[[Tensor], Tensor]
 _SMALL = 0.5  # below it a series is used, as the recurrence would cancel
 
 
-class _J0(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        ctx.save_for_backward(x)
-        return _values(scipy.special.j0, x)
+def _differentiable(value: Function, slope: Function) -> Function:
+    """A function of a tensor whose slope is known."""
 
-    @staticmethod
-    def backward(ctx: Any, *grad: Any) -> Tensor:
-        (x,) = ctx.saved_tensors
-        return -grad[0] * j1(x)
+    class Known(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx: Any, x: Tensor) -> Tensor:
+            ctx.save_for_backward(x)
+            return value(x)
 
+        @staticmethod
+        def backward(ctx: Any, *grad: Any) -> Tensor:
+            (x,) = ctx.saved_tensors
+            return grad[0] * slope(x)
 
-class _J1(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        ctx.save_for_backward(x)
-        return _values(scipy.special.j1, x)
-
-    @staticmethod
-    def backward(ctx: Any, *grad: Any) -> Tensor:
-        (x,) = ctx.saved_tensors
-        return grad[0] * (j0(x) - j2(x)) / 2
-
-
-class _J2(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        ctx.save_for_backward(x)
-        return _order_two(x)
-
-    @staticmethod
-    def backward(ctx: Any, *grad: Any) -> Tensor:
-        (x,) = ctx.saved_tensors
-        return grad[0] * (j1(x) - 2 * _over(_order_two(x), x, 0.0))
-
-
-class _Jinc(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        ctx.save_for_backward(x)
-        return 2 * _over(_values(scipy.special.j1, x), x, 0.5)
-
-    @staticmethod
-    def backward(ctx: Any, *grad: Any) -> Tensor:
-        (x,) = ctx.saved_tensors
-        return -2 * grad[0] * _over(_order_two(x), x, 0.0)
-
-
-def j0(x: Tensor) -> Tensor:
-    """Bessel function of the first kind and order 0, differentiable."""
-    return _J0.apply(x)
-
-
-def j1(x: Tensor) -> Tensor:
-    """Bessel function of the first kind and order 1, differentiable."""
-    return _J1.apply(x)
-
-
-def j2(x: Tensor) -> Tensor:
-    """Bessel function of the first kind and order 2, differentiable once."""
-    return _J2.apply(x)
-
-
-def jinc(x: Tensor) -> Tensor:
-    """``2 J1(x) / x``, the transform of a disc of unit mass and radius 1; differentiable once."""
-    return _Jinc.apply(x)
+    return Known.apply
 
 
 def _values(function: Any, x: Tensor) -> Tensor:
@@ -102,3 +54,14 @@ def _order_two(x: Tensor) -> Tensor:
     # J2(x) = (x/2)^2 sum_k (-q)^k / (k! (k+2)!)
     series = 1 - q / 3 * (1 - q / 8 * (1 - q / 15 * (1 - q / 24 * (1 - q / 35))))
     return torch.where(near, q / 2 * series, far)
+
+
+# Bessel functions of the first kind and orders 0 to 2, the last one differentiable once.
+j0: Function = _differentiable(partial(_values, scipy.special.j0), lambda x: -j1(x))
+j1: Function = _differentiable(partial(_values, scipy.special.j1), lambda x: (j0(x) - j2(x)) / 2)
+j2: Function = _differentiable(_order_two, lambda x: j1(x) - 2 * _over(_order_two(x), x, 0.0))
+# 2 J1(x) / x, the transform of a disc of unit mass and radius 1; differentiable once.
+jinc: Function = _differentiable(
+    lambda x: 2 * _over(_values(scipy.special.j1, x), x, 0.5),
+    lambda x: -2 * _over(_order_two(x), x, 0.0),
+)

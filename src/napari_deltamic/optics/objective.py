@@ -8,7 +8,7 @@ ray is ``2 pi / wavelength * (path - z sqrt(index^2 - s^2))``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import pi, sqrt
 from typing import Self
 
@@ -63,15 +63,6 @@ def check_aperture(na: float, index: float) -> None:
 
 class ObjectivePSF(RadialPSF):
     """Base of scalar and vectorial PSFs of an objective: the pupil and its sampling."""
-
-    def __init__(
-        self,
-        specs: Sequence[Spec],
-        values: Mapping[str, object],
-        fitted: Sequence[str],
-        extent: Extent | None,
-    ) -> None:
-        super().__init__(specs, values, fitted, extent)
 
     def with_extent(self, extent: Extent) -> ObjectivePSF:
         """Return the same PSF, kept within another extent (um along Z and across)."""
