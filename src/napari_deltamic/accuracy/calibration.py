@@ -12,10 +12,10 @@ import scipy.sparse as sp
 import torch
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import nnls
-from scipy.sparse.linalg import splu
 from torch import Tensor
 
 from ..fitting.model.level import CUT_OFF
+from ..fitting.solvers.factors import Solve, on_host
 from ..fourier.band import Band
 from ..fourier.closed_form import band_ft
 from ..fourier.cost import BUILT_IN, Costs, Rates, Work, count_work
@@ -24,6 +24,7 @@ from ..fourier.plan import edge_phases, make_plan
 from ..fourier.points import Points
 from ..fourier.quadrature import rule
 from ..fourier.spreading import choose_spreading, gaussian
+from ..geometry.connected import adjacency
 from ..geometry.mesh import Mesh
 from ..geometry.primitives import sphere
 
@@ -187,7 +188,7 @@ def _others() -> dict[str, tuple[Callable[[], object], float]]:
     """What a fit does besides rendering: functions to time, and the units that each works on."""
     mesh = _ball(4)
     solve = _smoother(mesh)
-    columns = np.ones((len(mesh.vertices), 3))
+    columns = torch.ones(len(mesh.vertices), 3, dtype=torch.float64)
     voxels = 50_000
     image = torch.rand(voxels * 2)
     index = torch.arange(0, 2 * voxels, 2)
@@ -215,24 +216,8 @@ def _others() -> dict[str, tuple[Callable[[], object], float]]:
     }
 
 
-def _smoother(mesh: Mesh) -> Callable[[np.ndarray], object]:
+def _smoother(mesh: Mesh) -> Solve:
     """A solver from a sparse factorisation, as the preconditioner of a fit uses it."""
-    edges = mesh.edges()
-    n = len(mesh.vertices)
-    half = sp.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
-    a = half + half.T
-    matrix = (sp.eye(n) + 10 * (sp.diags(np.asarray(a.sum(1)).ravel()) - a)).tocoo()
-    try:
-        from cholespy import CholeskySolverD, MatrixType
-    except ImportError:
-        solve: Callable[[np.ndarray], object] = splu(matrix.tocsc()).solve
-        return solve
-    solver = CholeskySolverD(
-        n,
-        matrix.row.astype(np.int32),
-        matrix.col.astype(np.int32),
-        matrix.data.astype(np.float64),
-        MatrixType.COO,
-    )
-    x = np.zeros((n, 3))
-    return lambda b: solver.solve(b, x)
+    a = adjacency(mesh)
+    degrees = sp.diags(np.asarray(a.sum(1)).ravel())
+    return on_host((sp.eye(len(mesh.vertices)) + 10 * (degrees - a)).tocoo())
