@@ -18,7 +18,6 @@ from .objective.prediction import View
 from .objective.schedule import Progress
 from .position import Position, RunContext
 from .rivals.rival_structures import insides_may_do
-from .state_of import state_of
 
 _UNDONE = "a coarse level was undone: a cell had drifted away from its start"
 _FURTHER_IN = "membranes shine as well: the fit goes on with surfaces further in"
@@ -365,20 +364,30 @@ class LevelRun:
     def state(self, kept: Arrays) -> FitState:
         """Where the fit is; kept : its last checkpoint."""
         at, now = self.at, self.objective.now.match
-        state = state_of(
-            at.fitted,
-            at.stage,
-            now,
-            self._densities(),
-            self._context.problem.grid,
-            len(at.levels),
-            self._level.factor,
-            at.settings.image_accuracy,
-            kept,
+        problem, fitted, stage = self._context.problem, at.fitted, at.stage
+        return FitState(
+            iteration=stage.iteration,
+            level=stage.level_number + 1,
+            levels=len(at.levels),
+            mesh=fitted.mesh,
+            optics=fitted.optics,
+            density=self._densities(),
+            loss=now.loss,
+            amplitude=now.amplitude,
+            background=now.background,
+            blur=self._level.factor,
+            effects=fitted.effects,
+            light=fitted.light,
+            pinned=fitted.shape.pinned if fitted.shape.pinned.any() else None,
+            evaluations=stage.evaluations,
+            unsure=stage.progress.unsure and fitted.structure != "membrane",
+            dimmed=fitted.dimmed,
+            counted=problem.counted if problem.anew else None,
+            local_background=problem.local_background,
+            grid=problem.grid,
+            accuracy=at.settings.image_accuracy,
+            _checkpoint=lambda: kept,
         )
-        problem = self._context.problem
-        counted = problem.counted if problem.anew else None
-        return replace(state, counted=counted, local_background=problem.local_background)
 
     def _densities(self) -> FloatArray:
         """(F,) relative to the mean."""
