@@ -1,13 +1,30 @@
-"""The last few results of something that is asked for again and again."""
+"""Results of something that is asked for again and again: the last few, or all of an object."""
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from typing import Generic, TypeVar
+from functools import wraps
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
 
+P = ParamSpec("P")
+S = TypeVar("S")
 T = TypeVar("T")
+
+
+def kept(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
+    """A method that keeps what it returns for each of its arguments as long as its object lives."""
+
+    @wraps(method)
+    def asked(own: S, /, *given: P.args, **named: P.kwargs) -> T:
+        results: dict[Any, T] = vars(own).setdefault(f"kept {method.__name__}", {})
+        key = (given, tuple(named.items()))
+        if key not in results:
+            results[key] = method(own, *given, **named)
+        return results[key]
+
+    return asked
 
 
 class Kept(Generic[T]):

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.kept import kept
 from ..common.one_thread import in_one_thread
 from .real_fft import RealFFT
 
@@ -123,15 +124,9 @@ class Band:
         index = self._row_index_on(values.device)
         return box.index_copy(0, index, values).reshape(self.box_shape)
 
+    @kept
     def _row_index_on(self, device: torch.device) -> Tensor:
-        if device not in self._row_indices:
-            self._row_indices[device] = self.row_index.to(device)
-        return self._row_indices[device]
-
-    @cached_property
-    def _row_indices(self) -> dict[torch.device, Tensor]:
-        """``row_index`` on each device that has used it."""
-        return {self.row_index.device: self.row_index}
+        return self.row_index.to(device)
 
     def to_image(
         self,
@@ -145,12 +140,11 @@ class Band:
         The box, times the OTF if one is given, is the transform of a density per um^3; the result
         is the amount in each voxel. known : the result, if only its gradients are wanted.
         """
-        if shape not in self._inverse:
-            self._inverse[shape] = self._inverse_to(shape)
         if otf is not None and (otf.requires_grad or otf.is_complex() or otf.shape != box.shape):
             box, otf = in_one_thread(torch.mul, box, otf), None
-        return _Image.apply(box, otf, self._inverse[shape], known)
+        return _Image.apply(box, otf, self._inverse_to(shape), known)
 
+    @kept
     def _inverse_to(self, shape: tuple[int, int, int]) -> RealFFT:
         # On an even axis +n/2 and -n/2 are one wavevector: their mean is taken, as images are real.
         z, y = (
@@ -161,11 +155,6 @@ class Band:
         x = np.full(len(k), 1 / n)
         mirrored = np.where((k == 0) | (2 * k == n), x, 2 * x)
         return RealFFT(self.fft_shape, self.half, shape, (z, y, mirrored), (z, y, x))
-
-    @cached_property
-    def _inverse(self) -> dict[tuple[int, int, int], RealFFT]:
-        """Inverse transforms, by the shape of the image."""
-        return {}
 
 
 class _Image(torch.autograd.Function):

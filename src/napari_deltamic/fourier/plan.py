@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from math import floor, log, log2, pi, sqrt
 from typing import Literal
 
@@ -13,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ..common.accuracy_bounds import check_accuracy
+from ..common.kept import kept
 from ..errors import InputError
 from .band import Band
 from .closed_form import band_ft
@@ -119,15 +119,10 @@ class Plan:
             there,
         )
 
+    @kept
     def quadrature_of(self, faces: int) -> Points:
         """Return the rules for a mesh with as many faces as the one it was made for."""
-        if faces not in self._points:
-            self._points[faces] = Points(self.rules, faces)
-        return self._points[faces]
-
-    @cached_property
-    def _points(self) -> dict[int, Points]:
-        return {}
+        return Points(self.rules, faces)
 
 
 def make_plan(

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.kept import kept
 from .native import native
 from .quadrature import Rule
 
@@ -79,50 +80,34 @@ class Points:
             rule, np.array(start, np.int64), np.concatenate(places), np.concatenate(weights)
         )
 
+    @kept
     def groups(
         self, real: torch.dtype, device: torch.device
     ) -> list[tuple[Tensor, Tensor, Tensor]]:
         """Return barycentric places (P, corners), weights (P,) and elements (N,) of each rule."""
         key = real, device
-        if key not in self._groups:
-            self._groups[key] = [
-                (placed(r.barycentric, *key), placed(r.weights, *key), torch.tensor(of).to(device))
-                for r, of in self.rules
-            ]
-        return self._groups[key]
+        return [
+            (placed(r.barycentric, *key), placed(r.weights, *key), torch.tensor(of).to(device))
+            for r, of in self.rules
+        ]
 
+    @kept
     def listed(self, device: torch.device) -> Listed:
         """Return all points one by one, on a device."""
-        if device not in self._listed:
-            first, each = (np.zeros(self.elements, np.int64) for _ in range(2))
-            at = 0
-            for r, of in self.rules:
-                first[of], each[of] = at, len(r.weights)
-                at += len(r.weights)
-            start = np.append(0, np.cumsum(each))
-            element = np.repeat(np.arange(self.elements), each)
-            place = first[element] + np.arange(len(element)) - start[element]
-            corners = self.rules[0][0].barycentric.shape[1] if self.rules else 1
-            shares = np.concatenate(
-                [np.zeros((0, corners)), *(r.barycentric for r, _ in self.rules)]
-            )
-            weights = np.concatenate([np.zeros(0), *(r.weights for r, _ in self.rules)])
-            counts = (
-                torch.from_numpy(a.astype(np.int32)).to(device) for a in (element, place, start)
-            )
-            reals = (placed(a, torch.float64, device) for a in (shares, weights))
-            self._listed[device] = Listed(*counts, *reals)
-        return self._listed[device]
-
-    @cached_property
-    def _listed(self) -> dict[torch.device, Listed]:
-        return {}
-
-    @cached_property
-    def _groups(
-        self,
-    ) -> dict[tuple[torch.dtype, torch.device], list[tuple[Tensor, Tensor, Tensor]]]:
-        return {}
+        first, each = (np.zeros(self.elements, np.int64) for _ in range(2))
+        at = 0
+        for r, of in self.rules:
+            first[of], each[of] = at, len(r.weights)
+            at += len(r.weights)
+        start = np.append(0, np.cumsum(each))
+        element = np.repeat(np.arange(self.elements), each)
+        place = first[element] + np.arange(len(element)) - start[element]
+        corners = self.rules[0][0].barycentric.shape[1] if self.rules else 1
+        shares = np.concatenate([np.zeros((0, corners)), *(r.barycentric for r, _ in self.rules)])
+        weights = np.concatenate([np.zeros(0), *(r.weights for r, _ in self.rules)])
+        counts = (torch.from_numpy(a.astype(np.int32)).to(device) for a in (element, place, start))
+        reals = (placed(a, torch.float64, device) for a in (shares, weights))
+        return Listed(*counts, *reals)
 
 
 def placed(values: np.ndarray, real: torch.dtype, device: torch.device) -> Tensor:

@@ -7,12 +7,12 @@ of threads; elsewhere torch computes the same.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.kept import kept
 from .native import native, simd_level, threads
 from .points import placed
 
@@ -95,10 +95,7 @@ class RealFFT:
 
     def _run(self, name: str, box: Tensor, array: Tensor, weights: Tensor | None) -> None:
         real = array.dtype
-        z, y, x = self._placed(name, real, box.device)
-        key = name, real
-        if key not in self._outer:
-            self._outer[key] = (y[:, None] * x).contiguous().numpy()
+        z, _, _ = self._placed(name, real, box.device)
         function = getattr(native(), f"{name}_{'f32' if real == torch.float32 else 'f64'}")
         function(
             torch.view_as_real(box).numpy(),
@@ -107,7 +104,7 @@ class RealFFT:
             self.half,
             self.count,
             z.numpy(),
-            self._outer[key],
+            self._outer(name, real),
             None if weights is None else weights.to(real).contiguous().numpy(),
             threads(),
             simd_level(),
@@ -136,41 +133,30 @@ class RealFFT:
         found = torch.fft.irfft(spectrum, n=self.shape[2], dim=2, norm="forward")
         return found.narrow(2, 0, self.count[2])
 
+    @kept
     def _indices(self, device: torch.device) -> list[Tensor]:
         """Return the indices of wavevectors -K .. K along the first two axes of an FFT."""
-        if device not in self._indices_on:
-            self._indices_on[device] = [
-                (torch.arange(-k, k + 1) % n).to(device)
-                for k, n in zip(self.half[:2], self.shape[:2], strict=True)
-            ]
-        return self._indices_on[device]
+        return [
+            (torch.arange(-k, k + 1) % n).to(device)
+            for k, n in zip(self.half[:2], self.shape[:2], strict=True)
+        ]
 
-    @cached_property
-    def _indices_on(self) -> dict[torch.device, list[Tensor]]:
-        return {}
-
+    @kept
     def _whole(self, name: str, real: torch.dtype, device: torch.device) -> Tensor:
         """Return the product of the factors of all three axes, on the box."""
-        key = f"whole {name}", real, device
-        if key not in self._factors:
-            z, y, x = self._placed(name, real, device)
-            self._factors[key] = [z[:, None, None] * (y[:, None] * x)]
-        return self._factors[key][0]
+        z, y, x = self._placed(name, real, device)
+        return z[:, None, None] * (y[:, None] * x)
 
+    @kept
+    def _outer(self, name: str, real: torch.dtype) -> np.ndarray:
+        """Return the product of the factors of the last two axes."""
+        _, y, x = self._placed(name, real, torch.device("cpu"))
+        return (y[:, None] * x).contiguous().numpy()
+
+    @kept
     def _placed(self, name: str, real: torch.dtype, device: torch.device) -> list[Tensor]:
-        key = name, real, device
-        if key not in self._factors:
-            factors = self.to_box_factors if name == "to_box" else self.to_real_factors
-            self._factors[key] = [placed(f, real, device) for f in factors]
-        return self._factors[key]
-
-    @cached_property
-    def _factors(self) -> dict[tuple[str, torch.dtype, torch.device], list[Tensor]]:
-        return {}
-
-    @cached_property
-    def _outer(self) -> dict[tuple[str, torch.dtype], np.ndarray]:
-        return {}
+        factors = self.to_box_factors if name == "to_box" else self.to_real_factors
+        return [placed(f, real, device) for f in factors]
 
 
 def _wrapped(box: Tensor, axis: int, half: int, n: int) -> Tensor:

@@ -14,6 +14,7 @@ import torch
 from scipy.special import roots_jacobi
 from torch import Tensor
 
+from ..common.kept import Kept, kept
 from .band import Band
 from .particle_mesh import elements_ft
 from .plan import RULE_SHARE, Plan
@@ -106,14 +107,7 @@ class SolidPlan:
         if seen.all():
             return every
         # The same walls are used again and again; two sets if the PSF changes with depth.
-        key = seen.tobytes()
-        found = self._seen.get(key)
-        if found is None:
-            found = every[0].of(seen), every[1].of(seen)
-            if len(self._seen) > 1:
-                self._seen.clear()
-            self._seen[key] = found
-        return found
+        return self._seen.get(seen.tobytes(), lambda: (every[0].of(seen), every[1].of(seen)))
 
     def low_shells(
         self, points: Points, centre: Tensor, corners: Tensor, vectors: Tensor, jump: Tensor
@@ -167,22 +161,15 @@ class SolidPlan:
         z, y, x = (_turned(c * k) for c, k in zip(centre, axes, strict=True))
         return sums.reshape(self.low.box_shape) * (z[:, None, None] * (y[:, None] * x))
 
+    @kept
     def _numbers(self, real: torch.dtype, device: torch.device) -> list[Tensor]:
         """Return shells, their weights, and components of the low wavevectors along each axis."""
-        key = real, device
-        if key not in self._placed:
-            axes = [k.reshape(-1).numpy() for k in self.low.axes(torch.float64)]
-            arrays = *nodes(self.plan.tolerance), *axes
-            self._placed[key] = [placed(a, real, device) for a in arrays]
-        return self._placed[key]
+        axes = [k.reshape(-1).numpy() for k in self.low.axes(torch.float64)]
+        return [placed(a, real, device) for a in (*nodes(self.plan.tolerance), *axes)]
 
     @cached_property
-    def _placed(self) -> dict[tuple[torch.dtype, torch.device], list[Tensor]]:
-        return {}
-
-    @cached_property
-    def _seen(self) -> dict[bytes, tuple[Points, Points]]:
-        return {}
+    def _seen(self) -> Kept[tuple[Points, Points]]:
+        return Kept(2)
 
 
 def centre_of(vertices: Tensor) -> Tensor:

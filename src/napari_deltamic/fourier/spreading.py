@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..common.kept import kept
 from .falloff import POINT_LIKE, Falloff
 from .kernel import WIDEST, AxisWeights, Kernel, beta_for, kernel_for, packed, unpacked
 from .points import placed
@@ -85,31 +86,20 @@ class Spreading:
         once = np.where(np.arange(len(x)) == 0, x, x / 2)
         return RealFFT(self.shape, self.half, self.shape, (z, y, x), (z, y, once))
 
+    @kept
     def scale_on(self, real: torch.dtype, device: torch.device) -> Tensor:
         """Return (3,) nodes per um, on a device."""
-        key = "scale", real, device
-        if key not in self._placed:
-            self._placed[key] = [placed(np.array(self.scale), real, device)]
-        return self._placed[key][0]
+        return placed(np.array(self.scale), real, device)
 
+    @kept
     def coefficients(self, real: torch.dtype, device: torch.device) -> list[Tensor]:
         """Return the coefficients of the kernels, (degree + 1, width) along each axis."""
-        key = "coefficients", real, device
-        if key not in self._placed:
-            self._placed[key] = [placed(k.coefficients, real, device) for k in self.kernels]
-        return self._placed[key]
+        return [placed(k.coefficients, real, device) for k in self.kernels]
 
+    @kept
     def joined_coefficients(self, real: torch.dtype, device: torch.device) -> Tensor:
         """Return the coefficients of the three axes, one after the other."""
-        key = "joined", real, device
-        if key not in self._placed:
-            every = self.coefficients(real, device)
-            self._placed[key] = [torch.cat([c.reshape(-1) for c in every])]
-        return self._placed[key][0]
-
-    @cached_property
-    def _placed(self) -> dict[tuple[str, torch.dtype, torch.device], list[Tensor]]:
-        return {}
+        return torch.cat([c.reshape(-1) for c in self.coefficients(real, device)])
 
 
 def gaussian(width: Sequence[float]) -> Transfer:

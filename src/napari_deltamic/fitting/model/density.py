@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ...common.choices import DensityModel
+from ...common.kept import kept
 from ...geometry.connected import adjacency
 from ...geometry.mesh import FloatArray, IntArray, Mesh
 from ..solvers.factors import on_host
@@ -100,7 +101,6 @@ class Density:
         elif model == "interface":
             pieces = np.bincount(self._interface, mesh.areas()) / (3 * width) ** 2
         self._pieces = pieces
-        self._placed: dict[torch.device, Tensor] = {}
 
     def __len__(self) -> int:
         return len(self._pieces)
@@ -115,12 +115,11 @@ class Density:
             return torch.exp(corners.reshape(-1, 3).sum(1) / 3)
         return torch.exp(log.index_select(0, self._faces_on(log.device)))
 
+    @kept
     def _faces_on(self, device: torch.device) -> Tensor:
         """(F, 3) vertices whose numbers a face takes, or (F,) its interface."""
-        if device not in self._placed:
-            own = self._faces if self.model == "smooth" else torch.from_numpy(self._interface)
-            self._placed[device] = own.to(device)
-        return self._placed[device]
+        own = self._faces if self.model == "smooth" else torch.from_numpy(self._interface)
+        return own.to(device)
 
     def faces_numpy(self, log: FloatArray) -> FloatArray:
         """(F,) density relative to the mean."""

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ...common.kept import kept
 from ...errors import InputError
 from ...fourier import Plan
 from ...fourier.solid import contrasts, jumps, sides_of, solid_transform
@@ -87,15 +88,9 @@ class Solid:
         seen = shares(own, lambda: self._middles, frame, effects)
         return [jumps(self._sides_on(device), densities.to(device)) for densities in seen]
 
+    @kept
     def _sides_on(self, device: torch.device) -> Tensor:
-        if device not in self._sides:
-            found = sides_of(self.mesh.regions, self.mesh.region_ids())
-            self._sides[device] = found.to(device)
-        return self._sides[device]
-
-    @cached_property
-    def _sides(self) -> dict[torch.device, Tensor]:
-        return {}
+        return sides_of(self.mesh.regions, self.mesh.region_ids()).to(device)
 
     def positions(self) -> FloatArray:
         """See ``Structure``."""
