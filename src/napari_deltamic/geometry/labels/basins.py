@@ -19,6 +19,7 @@ from scipy import ndimage
 from skimage.measure import block_reduce
 from skimage.segmentation import watershed
 
+from ...common.kept import Kept
 from ..mesh import FloatArray, IntArray
 from ..refused import Refused
 from .cell_rules import BASINS
@@ -175,7 +176,7 @@ def border_area(shape: tuple[int, ...], size: FloatArray, known: Mask | None = N
 
 # The trees of the last image, of its blocks and of its voxels: they take nearly all of the time,
 # and every click of a user needs them again.
-_kept: list[tuple[bytes, _Tree]] = []
+_TREES = Kept[_Tree](2)
 
 
 def content_of(image: NDArray[Any], size: FloatArray) -> bytes:
@@ -186,13 +187,7 @@ def content_of(image: NDArray[Any], size: FloatArray) -> bytes:
 
 
 def _component_tree(ranked: Ranks, size: FloatArray) -> _Tree:
-    key = content_of(ranked, size)
-    for known, tree in tuple(_kept):  # threads may share it
-        if known == key:
-            return tree
-    tree = _new_tree(ranked, size)
-    _kept[:] = [*_kept[-1:], (key, tree)]
-    return tree
+    return _TREES.get(content_of(ranked, size), lambda: _new_tree(ranked, size))
 
 
 def _new_tree(ranked: Ranks, size: FloatArray) -> _Tree:

@@ -25,7 +25,6 @@ from .bright_things import (
     bright_things,
     ended,
     ground_beside,
-    mean_solidity,
     of_a_size,
     smoothed,
     typical_diameter,
@@ -37,7 +36,9 @@ from .checked_image import checked_image, positive_size
 from .crowded_cells import crowded_cells, without_halves
 from .dark_walls import without_bright_walls, without_parted
 from .find_cells import WalledCells, walled_cells
+from .label_repair import label_boxes
 from .region_merging import Labels
+from .solidity import mean_solidity
 
 
 @dataclass(frozen=True)
@@ -224,10 +225,9 @@ def _holes(things: NDArray[np.bool_]) -> float:
 def _without_holes(labels: NDArray[np.int32]) -> NDArray[np.int32]:
     """Fill the holes of each cell with its label."""
     whole = labels.copy()
-    for k, box in enumerate(ndimage.find_objects(labels), 1):
-        if box is not None:
-            own = ndimage.binary_fill_holes(labels[box] == k)
-            whole[box][own & (labels[box] == 0)] = k
+    for k, box in label_boxes(labels):
+        own = ndimage.binary_fill_holes(labels[box] == k)
+        whole[box][own & (labels[box] == 0)] = k
     return whole
 
 

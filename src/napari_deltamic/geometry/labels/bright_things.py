@@ -13,8 +13,9 @@ from skimage.segmentation import watershed
 
 from ...common.ball import ball_radius
 from ..mesh import FloatArray
+from .label_repair import label_boxes
 from .region_merging import Image, Labels
-from .solidity import solidity
+from .voxels import largest_part, renumbered
 
 
 @dataclass(frozen=True)
@@ -105,12 +106,8 @@ def of_a_size(parts: Labels, voxel: FloatArray, size: float | None) -> NDArray[n
     diameters = _diameters(parts, voxel)
     typical = size or typical_diameter(parts, voxel)
     low, high = (times * typical for times in THINGS.sizes)
-    kept = np.flatnonzero((diameters > low) & (diameters < high))
-    if not len(kept):
-        return None
-    numbers = np.zeros(len(diameters), np.int32)
-    numbers[kept] = np.arange(1, len(kept) + 1)
-    return numbers[parts]
+    kept = (diameters[1:] > low) & (diameters[1:] < high)
+    return renumbered(parts, kept) if kept.any() else None
 
 
 def unexplained(seen: Smoothed, labels: Labels) -> float:
@@ -125,13 +122,6 @@ def unexplained(seen: Smoothed, labels: Labels) -> float:
     return float(rise[1, 1] - rise[0, 1] ** 2 / max(float(rise[0, 0]), 1e-30))
 
 
-def mean_solidity(labels: Labels) -> float:
-    """Volume over that of the convex hull of labels (Z, Y, X), averaged by volume."""
-    boxes = enumerate(ndimage.find_objects(labels), 1)
-    each = [0.0 if box is None else solidity(labels[box] == k) for k, box in boxes]
-    return float(np.average(each, weights=np.bincount(labels.ravel())[1:]))
-
-
 def ended(seen: Smoothed, parts: Labels, depth: FloatArray) -> Labels:
     """Cut each part off at half of its own brightness, and remove the crumbs that this leaves.
 
@@ -139,17 +129,14 @@ def ended(seen: Smoothed, parts: Labels, depth: FloatArray) -> Labels:
     """
     smooth, dark = seen.smooth, ground_beside(seen, parts)
     ends = np.full(int(parts.max()) + 1, np.inf)
-    for k, box in enumerate(ndimage.find_objects(parts), 1):
-        if box is not None:
-            own = parts[box] == k
-            core = own & (depth[box] >= THINGS.core * depth[box][own].max())
-            ends[k] = dark + THINGS.half * (float(np.median(smooth[box][core])) - dark)
+    for k, box in label_boxes(parts):
+        own = parts[box] == k
+        core = own & (depth[box] >= THINGS.core * depth[box][own].max())
+        ends[k] = dark + THINGS.half * (float(np.median(smooth[box][core])) - dark)
     kept = np.where((parts > 0) & (smooth > ends[parts]), parts, 0)
-    for k, box in enumerate(ndimage.find_objects(kept), 1):
-        if box is not None:
-            pieces, _ = ndimage.label(kept[box] == k)
-            largest = int(np.bincount(pieces[pieces > 0]).argmax())
-            kept[box][(pieces > 0) & (pieces != largest)] = 0
+    for k, box in label_boxes(kept):
+        own = kept[box] == k
+        kept[box][own & ~largest_part(own)] = 0
     return kept
 
 
@@ -162,7 +149,7 @@ def ground_beside(seen: Smoothed, parts: Labels) -> float:
 def _hollow(smooth: Image, parts: Labels, depth: FloatArray) -> float:
     """Share of the parts' volume in parts whose rim is brighter than their core."""
     told = hollow = 0
-    for k, box in enumerate(ndimage.find_objects(parts), 1):
+    for k, box in label_boxes(parts):
         own = parts[box] == k
         deepest = depth[box][own].max()
         core = own & (depth[box] > THINGS.core * deepest)

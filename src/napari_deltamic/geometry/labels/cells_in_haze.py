@@ -17,7 +17,8 @@ from skimage.filters import threshold_otsu
 
 from .bright_things import Smoothed, bright_things, smoothed, typical_diameter, unexplained
 from .crowded_cells import blob_answers
-from .solidity import solidity
+from .solidity import solidities
+from .voxels import renumbered
 
 
 @dataclass(frozen=True)
@@ -90,14 +91,11 @@ def cells_in_haze(
 def _round_and_clear(things: NDArray[np.int32], clear: Smoothed) -> NDArray[np.int32]:
     """Remove things that are dim beside the others (noise) or not solid (the rim of a body)."""
     names = np.arange(1, int(things.max()) + 1)
-    boxes = ndimage.find_objects(things)
-    solid = np.array([solidity(things[box] == k) for k, box in zip(names, boxes, strict=True)])
+    solid = solidities(things)
     height = np.asarray(ndimage.median(clear.smooth, things, names))
     of_voxels = float(np.median(height[things[things > 0] - 1]))
     kept = (solid >= HAZE.whole) & (height >= HAZE.clear * of_voxels)
-    numbers = np.zeros(len(names) + 1, np.int32)
-    numbers[names[kept]] = np.arange(1, int(kept.sum()) + 1)
-    return numbers[things]
+    return renumbered(things, kept)
 
 
 def _diameters(

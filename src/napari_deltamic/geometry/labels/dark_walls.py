@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from skimage.segmentation import relabel_sequential
 
 from ..contacts import faces_of_voxels
 from ..mesh import FloatArray, IntArray
 from ..pairs import unique_pairs
+from .label_repair import label_boxes
 from .region_merging import Image, Labels
-from .solidity import solidity
+from .solidity import mean_solidity, solidity
 from .voxels import box_around
 
 
@@ -86,26 +86,23 @@ def without_parted(found: Labels, parts: Labels, whole: float) -> NDArray[np.int
 
     whole : mean solidity from which the parts of a thing count as cells.
     """
-    boxes = dict(enumerate(ndimage.find_objects(parts), 1))
-    things = dict(enumerate(ndimage.find_objects(found), 1))
+    boxes, things = dict(label_boxes(parts)), dict(label_boxes(found))
     inside: dict[int, list[int]] = {}
     for part, box in boxes.items():
-        if box is not None:
-            own = parts[box] == part
-            names = np.bincount(found[box][own])
-            home = int(names.argmax())
-            if home > 0 and names[home] > own.sum() / 2:  # for the most part, by definition
-                inside.setdefault(home, []).append(part)
+        own = parts[box] == part
+        names = np.bincount(found[box][own])
+        home = int(names.argmax())
+        if home > 0 and names[home] > own.sum() / 2:  # for the most part, by definition
+            inside.setdefault(home, []).append(part)
     apart: NDArray[np.int32] = found.astype(np.int32)
     last = int(apart.max())
     for home, several in inside.items():
         if len(several) < 2:
             continue
-        least = max(whole, solidity(found[things[home]] == home) - WALLS.less)
-        if _mean_solidity(several, parts, boxes) <= least:
-            continue
         box = box_around(things[home], *(boxes[part] for part in several))
         thing, held = found[box] == home, np.isin(parts[box], several)
+        if mean_solidity(np.where(held, parts[box], 0)) <= max(whole, solidity(thing) - WALLS.less):
+            continue
         if (held & thing).sum() < WALLS.cover * thing.sum():
             continue
         held &= thing | (found[box] == 0)
@@ -113,13 +110,6 @@ def without_parted(found: Labels, parts: Labels, whole: float) -> NDArray[np.int
         apart[box][held] = last + parts[box][held]
     numbered: NDArray[np.int32] = relabel_sequential(apart)[0].astype(np.int32)
     return numbered
-
-
-def _mean_solidity(several: list[int], parts: Labels, boxes: dict[int, tuple[slice, ...]]) -> float:
-    """Solidity of some parts, averaged by volume."""
-    each = [parts[boxes[part]] == part for part in several]
-    solid = [solidity(own) for own in each]
-    return float(np.average(solid, weights=[own.sum() for own in each]))
 
 
 def _walls(labels: Labels, smooth: Image) -> tuple[IntArray, FloatArray]:

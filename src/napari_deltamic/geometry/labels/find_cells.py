@@ -27,8 +27,8 @@ from .checked_image import Mask, checked_image, checked_size
 from .clear_rims import clear_rims, noise_magnitudes
 from .even_walls import even_walls
 from .region_merging import Image, Labels, Regions, join_regions
-from .solidity import solidity
-from .voxels import largest_part
+from .solidity import solidities
+from .voxels import largest_part, renumbered
 
 
 def find_cells(
@@ -269,18 +269,6 @@ def without_gaps(labels: Labels, found: RegionsFound) -> WalledCells:
     cells = np.where(found.surely, whole, closed * solid >= FINDING.likely_gap)
     cells &= found.walled >= FINDING.as_even * upper_quartile(found.walled, volume)
     return WalledCells(renumbered(labels, cells), found.surely[cells])
-
-
-def solidities(labels: Labels, count: int) -> FloatArray:
-    """Return (count,) solidities of labels from 1; 0 for a label without voxels."""
-    boxes = enumerate(ndimage.find_objects(labels, count), 1)
-    return np.array([0.0 if box is None else solidity(labels[box] == k) for k, box in boxes])
-
-
-def renumbered(labels: Labels, kept: Mask) -> Labels:
-    """Keep some of the labels from 1 and number them from 1 again; the others become 0."""
-    numbers = np.append(0, np.where(kept, np.cumsum(kept), 0)).astype(labels.dtype)
-    return numbers[labels]
 
 
 def upper_quartile(values: FloatArray, volume: FloatArray) -> float:

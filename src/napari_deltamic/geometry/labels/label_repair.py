@@ -22,7 +22,7 @@ from ...images.missing import unmasked
 from ..mesh import FloatArray
 from ..three_numbers import three_numbers
 from .annotated_slices import filled_between
-from .voxels import depths
+from .voxels import depths, renumbered
 
 _MANY = 1 << 16  # labels up to this number are found faster by number than by rank
 _ROUNDING = 1e-6  # um, of distances: a gap exactly as wide as asked for is closed
@@ -183,19 +183,16 @@ def _mask_as_cells(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np
     parts, _ = ndimage.label(numbers)
     sizes = np.bincount(parts.ravel())
     sizes[0] = 0
-    large = np.flatnonzero((sizes > _SMALL_PART * sizes.max()) & (sizes >= _SPECK))
-    if len(large) < 2:
+    large = (sizes > _SMALL_PART * sizes.max()) & (sizes >= _SPECK)
+    if large.sum() < 2:
         return numbers
-    cells = np.zeros(len(sizes), np.int32)
-    cells[large] = np.arange(1, len(large) + 1)
-    few = int(np.count_nonzero(sizes)) - len(large)
+    few = int(np.count_nonzero(sizes) - large.sum())
     left = f", {counted(few, 'small part')} left out" if few else ""
     repairs.append(
-        f"there is one label, {names[0]}, in {len(large)} large parts, as in a mask: each was "
+        f"there is one label, {names[0]}, in {large.sum()} large parts, as in a mask: each was "
         f"taken for a cell{left}; give cells numbers of their own if that is wrong"
     )
-    found: NDArray[np.int32] = cells[parts]
-    return found
+    return renumbered(parts, large[1:])
 
 
 def _in_one_part(numbers: NDArray[np.int32], repairs: list[str]) -> NDArray[np.int32]:

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.segmentation import watershed
 
+from ...common.kept import Kept
 from ...errors import InputError
 from ..mesh import FloatArray, IntArray
 from ..refused import Refused
 from .basins import content_of, label_basins
 from .bright_ball import ball_at, bright_ball, stands_out
 from .hollow_ball import hollow_ball
+from .label_repair import label_boxes
 from .voxels import depths, widened
 
 if TYPE_CHECKING:
@@ -160,22 +162,20 @@ def _without_neck(parts: Labels, deep: FloatArray) -> tuple[int, int] | None:
 def _in_bright(smooth: FloatArray, labels: Labels, at: dict[int, tuple[int, ...]]) -> list[int]:
     """Return points that are brighter than nearly all of the dark region that they name."""
     found = []
-    for name, box in enumerate(ndimage.find_objects(labels), 1):
-        if box is not None:
-            level = np.percentile(smooth[box][labels[box] == name], _BRIGHT)
-            found += [name] if smooth[at[name]] > level else []
+    for name, box in label_boxes(labels):
+        level = np.percentile(smooth[box][labels[box] == name], _BRIGHT)
+        found += [name] if smooth[at[name]] > level else []
     return found
 
 
 def _hardly_dark(smooth: FloatArray, labels: Labels) -> list[int]:
     """Return dark regions that are nearly as bright as their crests."""
     ground, found = np.percentile(smooth, _DARK), []
-    for name, box in enumerate(ndimage.find_objects(labels), 1):
-        if box is not None:
-            around = widened(box, 1, labels.shape)
-            own = labels[around] == name
-            above = float(np.median(smooth[around][own])) - ground
-            found += [name] if above > _DIM * (_crest(smooth[around], own) - ground) else []
+    for name, box in label_boxes(labels):
+        around = widened(box, 1, labels.shape)
+        own = labels[around] == name
+        above = float(np.median(smooth[around][own])) - ground
+        found += [name] if above > _DIM * (_crest(smooth[around], own) - ground) else []
     return found
 
 
@@ -198,18 +198,12 @@ def _shines_around(smooth: FloatArray, region: np.ndarray, found: CellsFound) ->
 
 
 # The cells of the last image, since every click of a user needs them again.
-_kept: list[tuple[bytes, CellsFound | None]] = []
+_CELLS: Kept[CellsFound | None] = Kept(1)
 
 
 def _cells(data: FloatArray, size: FloatArray) -> CellsFound | None:
     """Return the cells that are found without points; None if there are none."""
-    key = content_of(data, size)
-    for known, cells in tuple(_kept):  # threads may share it
-        if known == key:
-            return cells
-    found = _found(data, size)
-    _kept[:] = [(key, found)]
-    return found
+    return _CELLS.get(content_of(data, size), lambda: _found(data, size))
 
 
 def _found(data: FloatArray, size: FloatArray) -> CellsFound | None:

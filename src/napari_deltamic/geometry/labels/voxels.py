@@ -159,6 +159,12 @@ def largest_part(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask if count < 2 else parts == 1 + np.bincount(parts.ravel())[1:].argmax()
 
 
+def renumbered(labels: NDArray[np.integer], kept: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Keep some of the labels from 1 and number them from 1 again; the others become 0."""
+    numbers = np.append(0, np.where(kept, np.cumsum(kept), 0)).astype(np.int32)
+    return numbers[labels]
+
+
 def depths(mask: NDArray[np.bool_], size: ArrayLike | None = None) -> FloatArray:
     """Return (Z, Y, X) how deep each voxel lies in a mask, which ends where the array does.
 
