@@ -243,7 +243,7 @@ def test_a_change_on_trial_is_judged_before_what_shines_is_asked(monkeypatch):
         model_choice.ModelChoice, "asked_anew", lambda *a: (order.append("asked"), asked(*a))[1]
     )
     monkeypatch.setattr(SurfaceUpkeep, "judged", lambda *a: (order.append("judged"), judged(*a))[1])
-    fitted(image_of(INSIDES), structure="auto")
+    fitted(image_of(INSIDES), structure="auto", levels=(1.0,))
     assert order[:2] == ["judged", "asked"]
 
 

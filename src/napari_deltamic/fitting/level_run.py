@@ -183,7 +183,7 @@ class LevelRun:
         if after_one and at.choice.density_waits(at.fitted):
             self.at = at.holding(at.fitted.with_density(at.settings.density))
         self._go_on_with(
-            upkeep.rearranged(self.at.fitted, at.settings, self._level.factor, at.stage.iteration)
+            upkeep.look(self.at.fitted, at.settings, self._level.factor, at.stage.iteration)
         )
         before = self.at.fitted
         after = upkeep.remeshed(before, at.settings)

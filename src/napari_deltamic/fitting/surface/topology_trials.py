@@ -32,24 +32,33 @@ class TopologyTrials:
         What is to be judged; None where nothing is.
     """
 
-    def __init__(self, problem: Problem, policy: TopologyPolicy | None = None) -> None:
+    def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self.policy = policy or TopologyPolicy()
+        self.go_on_with(TopologyPolicy())
+
+    def go_on_with(self, policy: TopologyPolicy) -> None:
+        """Another fit was here before: what it tried is not tried again."""
+        self.policy = policy
         self.trial: Trial | None = None
         self._events: tuple[str, ...] = ()
+
+    @property
+    def trying(self) -> bool:
+        """Whether a change is still to be judged."""
+        return self.trial is not None
 
     def events(self) -> tuple[str, ...]:
         """What has happened since this was last asked, a sentence each."""
         events, self._events = self._events, ()
         return events
 
-    def drop(self) -> None:
-        """Nothing is to be judged: the image is explained in another way."""
+    def forget_trial(self) -> None:
+        """The image is explained in another way: no change is to be judged by it."""
         self.trial = None
 
     def restart(self) -> None:
-        """Go on at another level, or with a mesh that was changed from outside."""
-        self.policy = self.policy.restarted()
+        """Another surface: whatever was tried may be tried again."""
+        self.trial, self.policy = None, self.policy.restarted()
 
     def look(self, fitted: Fitted, settings: FitSettings, factor: float, iteration: int) -> Fitted:
         """Judge a change that has had its time, and change what presses."""
@@ -63,7 +72,7 @@ class TopologyTrials:
 
     def end_level(self, fitted: Fitted, settings: FitSettings, iteration: int) -> Fitted:
         """Judge a change that has had its time; another goes on at the level that follows."""
-        self.restart()
+        self.policy = self.policy.restarted()
         return fitted if self._waits(iteration) else self.judged(fitted, settings)
 
     def _waits(self, iteration: int) -> bool:
