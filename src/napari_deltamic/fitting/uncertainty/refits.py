@@ -92,7 +92,7 @@ class _Ended:
 
 
 class Refits:
-    """Fits of changed images, each from where one has ended; see :class:`~.responses.Responses`.
+    """Fits of changed images, each from where one has ended; see :class:`~.responses.Exact`.
 
     Parameters
     ----------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Protocol
 
 import numpy as np
 
@@ -17,8 +16,8 @@ from .curvature import Curvature
 from .refits import Alternative, Refits
 
 
-class Responses(Protocol):
-    """Displacements (V, 3) um of the surface that a fit ended with.
+class Exact:
+    """Displacements (V, 3) um of a surface, from the second derivatives of the objective.
 
     Attributes
     ----------
@@ -28,32 +27,6 @@ class Responses(Protocol):
         Of the noise: for means over many patches, and for errors of one place, at least and at
         most, which are then right to 1 / sqrt(2 draws), by definition.
     """
-
-    residual: FloatArray
-    draws: int
-    draws_of_one: tuple[int, int]
-
-    def after(self, change: FloatArray) -> FloatArray:
-        """What it follows a change (N,) of the image by."""
-
-    def settled(self) -> FloatArray:
-        """What more iterations would move it by."""
-
-    def pulled(self) -> FloatArray:
-        """What the prior moves it by."""
-
-    def amplitudes(self, columns: FloatArray) -> FloatArray:
-        """(m,) how much of further columns (N, m) of the image explains most of the residual."""
-
-    def alternatives(self, columns: Iterable[tuple[str, FloatArray]]) -> list[Alternative]:
-        """What the model may lack, by further columns (N, m) of the image; the likeliest."""
-
-    def instead(self, change: FloatArray) -> tuple[float, FloatArray]:
-        """What another rendering, by a change (N,), gains, nats, and what it is followed by."""
-
-
-class Exact:
-    """Responses from the second derivatives of the objective; see :class:`Responses`."""
 
     draws, draws_of_one = 16, (16, 32)  # chosen: errors are then right to 18 and 12 %
 
@@ -90,6 +63,9 @@ class Exact:
         """What another rendering, by a change (N,), gains, nats, and what it is followed by."""
         gain, along = self._curvature.instead(change)
         return gain, self._curvature.directions.displaced(along)
+
+
+Responses = Exact | Refits
 
 
 def responses_of(posed: Posed, state: FitState, settings: FitSettings) -> Responses:
