@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ...common.freed_memory import SPARE
+from ...common.kept import Kept
 from ...geometry.mesh import FloatArray
 from ...geometry.vectors import lengths
 from ...runs.settings import FitSettings
@@ -139,7 +140,7 @@ class Objective:
         self._descent = Descent(self.posed.posterior, at, metric, level.width, limits, known)
         self._passed = deque([at.vertices], maxlen=terms.schedule.window + 1)
         self.fitted = self.fitted.shining(self.now.light)
-        self._varies: tuple[Evaluation, tuple[float, float]] | None = None
+        self._varies = Kept[tuple[float, float]](1)
 
     def _metric(self, factored: Preconditioners) -> Metric:
         level = self.terms.level
@@ -277,9 +278,7 @@ class Objective:
 
         At least, and at most; where few voxels are deep enough, or some were cut: ``UNKNOWN``.
         """
-        if self._varies is None or self._varies[0] is not self.now:
-            self._varies = self.now, self._variation()
-        return self._varies[1]
+        return self._varies.get(self.now, self._variation)
 
     def _variation(self) -> tuple[float, float]:
         level, fitted = self.terms.level, self.fitted

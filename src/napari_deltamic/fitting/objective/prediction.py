@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ...common.choices import Structure
+from ...common.kept import Kept
 from ...fourier.devices import for_objects, widest
 from ...geometry.mesh import FloatArray, Mesh
 from ...optics import Optics
@@ -113,7 +114,7 @@ class Prediction:
         self._level, self._renderer, self._views, self._prior = level, renderer, views, prior
         self._structure, self._density_fitted = structure, density_fitted
         self._faces_on = for_objects(level.device)
-        self._kept: tuple[FloatArray, Optics] | None = None
+        self._seen_through = Kept[Optics](1)
         # Where gradients were last asked for: a descent that begins there asks for columns, too.
         self._shone: tuple[Variables, _Shining] | None = None
 
@@ -163,9 +164,8 @@ class Prediction:
         if torch.is_grad_enabled():
             return self._prior.imaging.optics_of(at.optics)
         numbers = as_floats(at.optics)
-        if self._kept is None or not np.array_equal(self._kept[0], numbers):
-            self._kept = numbers.copy(), self._prior.imaging.optics_of(at.optics)
-        return self._kept[1]
+        made = self._prior.imaging.optics_of
+        return self._seen_through.get(numbers.tobytes(), lambda: made(at.optics))
 
     def _otf(self, view: View, renderer: Renderer, optics: Optics) -> Tensor:
         """The OTF of the view's own PSF, or of the fit's."""

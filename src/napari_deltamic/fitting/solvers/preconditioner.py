@@ -7,6 +7,7 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
+from ...common.kept import Kept
 from ...geometry.connected import adjacency
 from ...geometry.mesh import Mesh
 from .factors import MOST_HELD, Solve, on_host
@@ -75,20 +76,18 @@ class Preconditioners:
 
     def __init__(self) -> None:
         self._faces = np.zeros((0, 3), np.int64)
-        self._made: dict[tuple[float, float, bytes], Preconditioner] = {}
+        # Of displacements, of densities, and one of before; more are no use.
+        self._made = Kept[Preconditioner](3)
 
     def of(
         self, mesh: Mesh, smoothing: float, held: np.ndarray | None, at_junctions: float
     ) -> Preconditioner:
         """See :class:`Preconditioner`."""
         if mesh.faces is not self._faces:
-            self._faces, self._made = mesh.faces, {}
+            self._faces = mesh.faces
+            self._made.clear()
         key = smoothing, at_junctions, b"" if held is None else np.packbits(held).tobytes()
-        if key not in self._made:
-            while len(self._made) >= _KEPT:
-                del self._made[next(iter(self._made))]
-            self._made[key] = Preconditioner(mesh, smoothing, held, at_junctions)
-        return self._made[key]
+        return self._made.get(key, lambda: Preconditioner(mesh, smoothing, held, at_junctions))
 
 
 def _solver(matrix: sp.coo_matrix) -> Solve:
@@ -97,9 +96,6 @@ def _solver(matrix: sp.coo_matrix) -> Solve:
         if inverse.products <= matrix.shape[0] / ROWS_A_PRODUCT:
             return inverse
     return on_host(matrix)
-
-
-_KEPT = 3  # factorisations: that of displacements, of densities, and one of before; more are no use
 
 
 def _at_junctions(a: sp.csr_matrix, mesh: Mesh, weight: float) -> sp.csr_matrix:
