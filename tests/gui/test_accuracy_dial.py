@@ -11,9 +11,8 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.accuracy import machine_costs
 from napari_deltamic.accuracy.experience import Experience
-from napari_deltamic.accuracy.forecast import Forecast, LevelForecast, forecast
+from napari_deltamic.accuracy.forecast import Forecast, LevelForecast, RenewedForecast, forecast
 from napari_deltamic.accuracy.outlook import Outlook
-from napari_deltamic.accuracy.renewed_forecast import RenewedForecast
 from napari_deltamic.common.cache_folder import CACHE_VARIABLE
 from napari_deltamic.common.words import duration
 from napari_deltamic.errors import InputError

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.cache_folder import cache_folder
-from ..common.writing import write_atomically
-from ..errors import InputError
+from ..common.writing import write_if_possible
 
 _NEWEST = 0.5  # weight of the speed of the last fit against that of earlier ones
 # The same for its iterations. Within a kind they vary by up to 2.7 times, either way, from image to
@@ -85,12 +84,7 @@ class Learned:
                 (1 - _OF_ITERATIONS) * iterations + _OF_ITERATIONS * log(found.iterations),
                 count + 1,
             )
-        text = json.dumps(self._known, indent=1) + "\n"
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(self._path, text.encode())
-        except (OSError, InputError):
-            pass  # a folder that cannot be written to is no reason to fail
+        write_if_possible(self._path, json.dumps(self._known, indent=1) + "\n")
 
 
 def _read(path: Path) -> dict[str, tuple[float, float, float]]:

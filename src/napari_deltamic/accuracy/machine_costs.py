@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.cache_folder import cache_folder
-from ..common.writing import write_atomically
+from ..common.writing import write_if_possible
 from ..errors import InputError
 from ..fourier.cost import BUILT_IN, Costs, Rates, Work, built_in
 from ..fourier.native import native, simd_level, threads
@@ -44,7 +44,8 @@ def costs(measure: bool = False, again: bool = False) -> Costs:
     found = None if again else _read(path)
     if again or (found is None and measure):
         found = calibrate()
-        _write(path, found)
+        text = json.dumps({"of": _whose(), "costs": asdict(found)}, indent=1) + "\n"
+        write_if_possible(path, text)
     _known[key] = found or BUILT_IN
     return _known[key]
 
@@ -118,13 +119,3 @@ def _cost(value: Any) -> float:
     if not 0 <= float(value) < 1:  # seconds for a unit of anything
         raise ValueError(f"{value} is no cost")
     return float(value)
-
-
-def _write(path: Path, found: Costs) -> None:
-    """Keep the costs for the next time; a folder that cannot be written to is not an error."""
-    text = json.dumps({"of": _whose(), "costs": asdict(found)}, indent=1) + "\n"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.encode())
-    except (OSError, InputError):
-        pass

@@ -20,10 +20,7 @@ from ..runs.settings import FitSettings, SceneSettings
 from ..scene import Grid
 from .forecast import Forecast, forecast
 from .machine_costs import costs
-from .renewed_forecast import RenewedForecast
 from .rough_surfaces import rough_surfaces
-
-Forecaster = Forecast | RenewedForecast  # says how long a fit will still take
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +82,7 @@ def outlook(scene: SceneNow) -> Outlook:
     return Outlook(noise, settings.image_accuracy, expected)
 
 
-def expected(job: FitInput) -> Forecaster | None:
+def expected(job: FitInput) -> Forecast | None:
     """The forecast of a fit; None for invalid input, on which the fit itself will report."""
     settings = job.settings
     try:

@@ -12,8 +12,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from .. import __version__
 from ..accuracy.accuracy_chart import (
     shape_answer,
@@ -25,8 +23,9 @@ from ..accuracy.accuracy_chart import (
     ways_chart,
     ways_table,
 )
-from ..accuracy.forecast import Forecast, forecast
+from ..accuracy.forecast import Forecast
 from ..accuracy.machine_costs import costs
+from ..accuracy.outlook import expected
 from ..accuracy.shape_error import DRAWS, ShapeError, photons_for, shape_errors
 from ..accuracy.tradeoff import Way, measure_ways, with_front
 from ..common.choices import RENDERED_ACCURACY
@@ -44,7 +43,7 @@ from ..geometry.formats import MESH_FILES
 from ..optics import Optics
 from ..scene import Grid
 from .inputs import gather
-from .messages import Notes, tell
+from .messages import Bar, Notes, tell
 from .optics_arguments import OPTICS_ARGUMENTS, optics_from_arguments
 
 
@@ -75,16 +74,10 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
         make_folder(folder)
     notes.release()
     try:
-        known = costs(again=True)
+        costs(again=True)
         ways = _ways(scene, arguments.budget)
-        expected = None
-        if scene.job is not None:
-            job = scene.job
-            expected = forecast(
-                job.image, job.grid, job.mesh, job.optics, job.settings.fit, job.counted,
-                job.settings.scene.effects, known,
-            )  # fmt: skip
-        _say(scene, ways, expected)
+        told = None if scene.job is None else expected(scene.job)
+        _say(scene, ways, told)
         shapes = _shapes(scene, arguments) if arguments.shape_error else []
     except (MemoryError, RuntimeError) as error:
         raise failure(error, scene.grid.shape) from error
@@ -92,7 +85,7 @@ def run(arguments: argparse.Namespace, notes: Notes) -> int:
     if shapes:
         print(f"\n{shape_table(shapes, voxel)}\n\n{shape_answer(shapes)}")
     if folder is not None:
-        for path in _write(folder, scene, ways, expected, shapes, voxel):
+        for path in _write(folder, scene, ways, told, shapes, voxel):
             tell(path)
     return 0
 
@@ -138,9 +131,8 @@ def _from_image(arguments: argparse.Namespace, notes: Notes) -> _Scene:
 
 @contextmanager
 def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on stderr, without tqdm's monitoring thread."""
-    tqdm.monitor_interval = 0
-    with tqdm(desc=what, file=sys.stderr, leave=False, disable=None) as bar:
+    """A progress bar on stderr."""
+    with Bar(desc=what, file=sys.stderr, leave=False, disable=None) as bar:
 
         def show(done: int, of: int) -> None:
             bar.total = of
@@ -188,29 +180,28 @@ def _shapes(scene: _Scene, arguments: argparse.Namespace) -> list[ShapeError]:
 # -------------------------------------------------------------------------------------- output
 
 
-def _say(scene: _Scene, ways: list[Way], expected: Forecast | None) -> None:
+def _say(scene: _Scene, ways: list[Way], told: Forecast | None) -> None:
     print(scene.title)
     if scene.noise is not None:
         print(f"noise of a voxel: {scene.noise:.2g} of the range of the image")
     print(f"accuracy in use: {short(scene.accuracy)}")
-    if expected is not None:
+    if told is not None:
         print(
-            f"a fit from these seeds: about {duration(expected.seconds)}, at the last level "
-            f"{duration(expected.seconds_per_iteration)} an iteration"
+            f"a fit from these seeds: about {duration(told.seconds)}, at the last level "
+            f"{duration(told.seconds_per_iteration)} an iteration"
         )
     print(f"\n{ways_table(ways)}")
     if all(way.memory is None for way in ways):
         print("\nmemory: this system does not report the peak of a computation")
-    if not any(way.device == "cuda" for way in ways):
-        why = missing() or "fits use the GPU, whose times are not measured here"
-        print(f"\nmeasured on the CPU: {why}")
+    why = missing() or "fits use the GPU, whose times are not measured here"
+    print(f"\nmeasured on the CPU: {why}")
 
 
 def _write(
     folder: Path,
     scene: _Scene,
     ways: list[Way],
-    expected: Forecast | None,
+    told: Forecast | None,
     shapes: list[ShapeError],
     voxel: float,
 ) -> list[Path]:
@@ -228,7 +219,7 @@ def _write(
         "noise": scene.noise,
         "accuracy_in_use": scene.accuracy,
         "ways": [way_facts(way) for way in ways],
-        "forecast": None if expected is None else asdict(expected),
+        "forecast": None if told is None else asdict(told),
         "shape": shape_facts(shapes, voxel) if shapes else None,
     }
     pictures = {"accuracy.png": ways_chart(ways, scene.title)}

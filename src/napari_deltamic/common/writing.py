@@ -62,6 +62,13 @@ def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
         raise _unwritable(path, error) from error
 
 
+def write_if_possible(path: Path, text: str) -> None:
+    """Write what is kept for later runs; that it cannot be written is no reason to fail."""
+    with suppress(OSError, InputError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, text.encode())
+
+
 @contextmanager
 def written_together(last: str | os.PathLike[str]) -> Iterator[None]:
     """Files written within the block replace older ones at its end, all of them or none.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...accuracy.experience import Learned
 from ...accuracy.forecast import Forecast
-from ...accuracy.outlook import Forecaster, expected
+from ...accuracy.outlook import expected
 from ...common.words import counted, duration
 from ...errors import InputError
 from ...fitting import Change, FitState
@@ -193,10 +193,10 @@ class RunControl:
             self.let_go()
 
 
-def _after(learned: Learned, image: tuple[Hashable, ...], job: FitInput) -> Forecaster | None:
+def _after(learned: Learned, image: tuple[Hashable, ...], job: FitInput) -> Forecast | None:
     """The forecast of a job, corrected by earlier runs; None if there is none."""
     found = expected(job)
-    return found.after(learned.about(found.kind, image)) if isinstance(found, Forecast) else found
+    return found and found.after(learned.about(found.kind, image))
 
 
 class Judging:

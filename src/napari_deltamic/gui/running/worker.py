@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...accuracy.forecast import Forecast
-from ...accuracy.outlook import Forecaster
-from ...accuracy.renewed_forecast import RenewedForecast
+from ...accuracy.forecast import Forecast, Forecaster, RenewedForecast
 from ...common.doing import listening
 from ...errors import InputError
 from ...fitting import Change, FitState

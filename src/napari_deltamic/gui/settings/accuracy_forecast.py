@@ -12,10 +12,9 @@ from qtpy.QtCore import QObject, Qt
 from qtpy.QtWidgets import QComboBox, QListWidget, QListWidgetItem, QWidget
 
 from ...accuracy.accuracy_chart import short
-from ...accuracy.forecast import Forecast
+from ...accuracy.forecast import Forecast, RenewedForecast
 from ...accuracy.machine_costs import costs
 from ...accuracy.outlook import Outlook, SceneNow, outlook
-from ...accuracy.renewed_forecast import RenewedForecast
 from ...accuracy.rough_surfaces import points_of
 from ...accuracy.tradeoff import Way, measure_ways
 from ...common.words import duration
