@@ -19,14 +19,8 @@ from napari_deltamic.geometry import read_points_csv, sphere
 from napari_deltamic.images.series import open_series
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.scene_file import load_scene, save_scene
-from napari_deltamic.results.session_file import (
-    SavedImage,
-    SavedLayer,
-    SavedResult,
-    Session,
-    load_session,
-    save_session,
-)
+from napari_deltamic.results.session_file import load_session, save_session
+from napari_deltamic.results.session_parts import SavedImage, SavedLayer, SavedResult, Session
 from napari_deltamic.results.track_report import read_results, write_frame, write_tracks
 from napari_deltamic.runs.optics_settings import optics_from_toml
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings

@@ -13,7 +13,8 @@ from napari_deltamic.fitting.history import History
 from napari_deltamic.geometry import Mesh, sphere
 from napari_deltamic.images.stacks import read_image, write_image
 from napari_deltamic.results.measured_files import MEASURED
-from napari_deltamic.results.session_file import SavedImage, SavedResult, Session, save_session
+from napari_deltamic.results.session_file import save_session
+from napari_deltamic.results.session_parts import SavedImage, SavedResult, Session
 from napari_deltamic.results.track_report import write_frame, write_tracks
 from napari_deltamic.runs.settings import RunSettings, SceneSettings
 from napari_deltamic.runs.track_run import TrackRun

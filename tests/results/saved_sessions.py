@@ -7,12 +7,7 @@ import numpy as np
 import napari_deltamic as nd
 from napari_deltamic.fitting.history import History
 from napari_deltamic.geometry import sphere
-from napari_deltamic.results.session_file import (
-    SavedImage,
-    SavedLayer,
-    SavedResult,
-    Session,
-)
+from napari_deltamic.results.session_parts import SavedImage, SavedLayer, SavedResult, Session
 from napari_deltamic.results.timeline import Moment
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
 from napari_deltamic.scene.effects import Effects, Halo

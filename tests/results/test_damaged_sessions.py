@@ -8,11 +8,8 @@ import pytest
 from saved_sessions import SHAPE, rewritten, same, session, settings
 
 from napari_deltamic.errors import InputError
-from napari_deltamic.results.session_file import (
-    SavedTracks,
-    load_session,
-    save_session,
-)
+from napari_deltamic.results.session_file import load_session, save_session
+from napari_deltamic.results.session_parts import SavedTracks
 from napari_deltamic.runs.track_run import TrackRun
 from napari_deltamic.tracking import FrameResult, TrackSettings
 

@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshWriter, opened
 from .session_bead import keep_bead
 from .session_facts import SESSION, ImageFacts, LayerFacts, SessionFacts
-from .session_parts import SavedImage, SavedLayer, SavedResult, SavedTracks, Session
+from .session_parts import SavedImage, SavedLayer, Session
 from .session_result import result_facts, saved_result, settings_of
 from .session_tracks import saved_tracks, tracks_facts
 
@@ -131,16 +131,3 @@ def _image(archive: ArchiveReader, name: str, facts: ImageFacts) -> SavedImage:
 def _layer(archive: ArchiveReader, index: int, facts: LayerFacts) -> SavedLayer:
     arrays = {name: archive.array(f"seeds/{index}/{name}") for name in facts.arrays}
     return SavedLayer(facts.kind, arrays=arrays, options=facts.options, **_place(facts))
-
-
-__all__ = [
-    "EXTENSION",
-    "VERSION",
-    "SavedImage",
-    "SavedLayer",
-    "SavedResult",
-    "SavedTracks",
-    "Session",
-    "load_session",
-    "save_session",
-]

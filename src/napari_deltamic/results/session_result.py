@@ -19,6 +19,7 @@ from ..fitting.history import History
 from ..fitting.job import optics_of
 from ..geometry.archive import ArchiveReader, ArchiveWriter, MeshReader, MeshWriter
 from ..optics import GaussianPSF, Optics
+from ..runs.run_files import with_second_file
 from ..runs.settings import RunSettings, validated
 from ..scene import Grid
 from ..scene.effects import Effects
@@ -165,7 +166,5 @@ def settings_of(archive: ArchiveReader, name: str) -> RunSettings:
     settings: RunSettings = validated(RunSettings, toml_values(archive.text(name)))
     view = settings.scene.effects.view
     if view is not None and view.image:  # the session holds the image itself
-        effects = settings.scene.effects.adding(view.model_copy(update={"image": ""}))
-        scene = settings.scene.model_copy(update={"effects": effects})
-        settings = settings.model_copy(update={"scene": scene})
+        settings = with_second_file(settings, "")
     return with_bead(archive, name.replace(".toml", "/bead"), settings)

@@ -11,7 +11,8 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QApplication, QFileDialog, QWidget
 
 from ...errors import InputError
-from ...results.session_file import EXTENSION, Session, load_session, save_session
+from ...results.session_file import EXTENSION, load_session, save_session
+from ...results.session_parts import Session
 from ...runs.batch import write_batch
 from ...runs.run_files import Chosen, needs_folder
 from ..calm import Calm

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...fitting.history import History
 from ...fitting.job import FitInput, optics_of
 from ...fitting.model.default_accuracy import usable_choice
-from ...results.session_file import SavedImage, SavedResult, Session
+from ...results.session_parts import SavedImage, SavedResult, Session
 from ..document import VIEWS, Document
 from ..record import Record
 from ..seeding.find_cells_button import be_found_in

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
-from ...results.session_file import SavedImage, SavedLayer, SavedTracks
+from ...results.session_parts import SavedImage, SavedLayer, SavedTracks
 from ..cell_source import SEED_LAYERS, at_time, seed_kind, shown_surface
 from ..viewing import own_layers
 from ..viewing.cell_layers import FILE

@@ -15,7 +15,7 @@ from ...evidence.put_together import put_together, start_of
 from ...evidence.reason import GRADES
 from ...fitting.job import FitInput, optics_of
 from ...measure import measure_cells
-from ...results.session_file import SavedTracks
+from ...results.session_parts import SavedTracks
 from ...results.track_report import write_frame, write_tracks
 from ...runs.seeds import SeedKind, Seeds
 from ...runs.settings import validated
