@@ -57,7 +57,6 @@ def crop_of(
         (3,) standard deviations of the PSF, um.
     """
     every = mesh.region_ids()
-    every = every[every != 0]
     cells = _central(mesh, every, grid)
     spacing = np.asarray(grid.voxel_size) / width
     own = _distance(mesh, cells, grid, spacing)
@@ -116,12 +115,11 @@ def _near_piece(
     """The mesh of regions that reach near a piece, and its density; walls to others keep theirs."""
     first, last = piece.extent
     v, kept = mesh.vertices_numpy(), [0]
-    regions = mesh.region_ids()
-    for r in regions[regions != 0]:
-        own = v[np.unique(mesh.faces[mesh.faces_by_region()[int(r)]])]
+    for r, rows in mesh.faces_by_region().items():
+        own = v[np.unique(mesh.faces[rows])]
         if (own.max(0) > first - margin).all() and (own.min(0) < last + margin).all():
-            kept.append(int(r))
-    if len(kept) > len(regions[regions != 0]):
+            kept.append(r)
+    if len(kept) > len(mesh.region_ids()):
         return mesh, density
     sides = np.where(np.isin(mesh.regions, kept), mesh.regions, 0)
     faces = (sides != 0).any(1)
