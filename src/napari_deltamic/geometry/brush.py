@@ -87,16 +87,25 @@ def touched_on_section(
     if not len(segments):
         return None
     others = [k for k in range(3) if k != axis]
-    a, along = segments[:, 0], segments[:, 1] - segments[:, 0]
-    share = np.einsum("si,si->s", point[others] - a, along) / np.einsum("si,si->s", along, along)
-    places = a + np.clip(share, 0, 1)[:, None] * along
-    distance = np.linalg.norm(places - point[others], axis=1)
+    places, distance = nearest_on_segments(segments, point[others])
     nearest = int(distance.argmin())
     if distance[nearest] > reach:
         return None
     on_contour = np.array(point, np.float64)
     on_contour[others] = places[nearest]
     return Touch(on_contour, int(faces[nearest]))
+
+
+def nearest_on_segments(segments: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the point (S, 2) of each segment (S, 2, 2) nearest to a point (2,), and how far it is.
+
+    Distances are (S,).
+    """
+    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    length = np.maximum((along**2).sum(axis=1), 1e-300)
+    share = np.clip(((point - start) * along).sum(axis=1) / length, 0, 1)
+    places: FloatArray = start + share[:, None] * along
+    return places, np.linalg.norm(places - point, axis=1)
 
 
 def falloff(mesh: Mesh, touch: Touch, radius: float) -> FloatArray:

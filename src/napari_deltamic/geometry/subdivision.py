@@ -48,22 +48,12 @@ def subdivided(mesh: Mesh) -> Subdivided:
     inner = mesh.edge_uses() == 2
     weights = sp.vstack([_old(mesh, edges, inner), _new(mesh, edges, by_face, inner)]).tocsr()
     n = len(mesh.vertices)
-    # Edge k of a face has its corners k and k + 1, or k + 1 and k + 2: asked of the edges.
-    opposite = np.stack([_edge_of(mesh, edges, by_face, a, b) for a, b in ((0, 1), (1, 2), (2, 0))])
-    ab, bc, ca = n + opposite
     a, b, c = mesh.faces.T
+    bc, ca, ab = n + by_face.T
     faces = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
     faces = faces.transpose(2, 0, 1).reshape(-1, 3)
     regions = np.repeat(mesh.regions, 4, axis=0)
     return Subdivided(Mesh(weights @ mesh.vertices_numpy(), faces, regions), weights)
-
-
-def _edge_of(mesh: Mesh, edges: IntArray, by_face: IntArray, a: int, b: int) -> IntArray:
-    """Return (F,) the number of the edge between two corners of each face."""
-    ends = np.sort(mesh.faces[:, [a, b]], axis=1)
-    same = (np.sort(edges, axis=1)[by_face] == ends[:, None]).all(2)
-    found: IntArray = np.take_along_axis(by_face, same.argmax(1)[:, None], 1)[:, 0]
-    return found
 
 
 def _new(mesh: Mesh, edges: IntArray, by_face: IntArray, inner: np.ndarray) -> sp.csr_matrix:
@@ -75,11 +65,9 @@ def _new(mesh: Mesh, edges: IntArray, by_face: IntArray, inner: np.ndarray) -> s
         rows.append(np.arange(len(edges)))
         columns.append(edges[:, k])
         values.append(ends)
-    # Of a face and one of its edges, the corner opposite is what is left of the sum.
-    opposite = mesh.faces.sum(1)[:, None] - edges[by_face].sum(2)
     of_inner = inner[by_face].ravel()
     rows.append(by_face.ravel()[of_inner])
-    columns.append(opposite.ravel()[of_inner])
+    columns.append(mesh.faces.ravel()[of_inner])
     values.append(np.full(int(of_inner.sum()), 1 / 8))
     flat = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
     return sp.coo_matrix(flat, shape).tocsr()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.brush import nearest_on_segments
 from ..geometry.mesh import OUTSIDE, FloatArray, Mesh
 from .section import section
 
@@ -18,7 +19,7 @@ def region_in_slice(mesh: Mesh, axis: int, point: FloatArray, near: float) -> in
     if not len(segments):
         return OUTSIDE
     here = np.delete(point, axis)
-    distance = _distances(segments, here)
+    _, distance = nearest_on_segments(segments, here)
     sides = mesh.regions[faces]
     found = []
     for region in np.unique(sides[sides != OUTSIDE]).tolist():
@@ -36,15 +37,6 @@ def region_behind(mesh: Mesh, face: int, direction: FloatArray) -> int:
     towards = float(mesh.normals()[face] @ direction) < 0
     behind, front = (first, second) if towards else (second, first)
     return int(behind or front)
-
-
-def _distances(segments: FloatArray, point: FloatArray) -> FloatArray:
-    """Return (S,) distances from a point (2,) to segments (S, 2, 2)."""
-    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
-    length = np.maximum((along**2).sum(axis=1), 1e-300)
-    share = np.clip(((point - start) * along).sum(axis=1) / length, 0, 1)
-    distance: FloatArray = np.linalg.norm(start + share[:, None] * along - point, axis=1)
-    return distance
 
 
 def _crossings(segments: NDArray[np.float64], point: FloatArray) -> int:

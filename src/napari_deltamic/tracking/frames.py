@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -113,7 +113,7 @@ class Quality:
         look = self._look(image, known)
         if not self._looks:
             return ""
-        usual = _Look(*(float(np.median(v)) for v in zip(*map(_values, self._looks), strict=True)))
+        usual = _Look(*(float(np.median(v)) for v in zip(*map(astuple, self._looks), strict=True)))
         if look.contrast < _RULES.dim * usual.contrast:
             return f"it is dark: its contrast is {look.contrast / usual.contrast:.0%} of the usual"
         if look.saturation > max(_RULES.saturated, _RULES.many_times * usual.saturation):
@@ -154,7 +154,3 @@ class Quality:
             float(detail.std()) / max(contrast, 1e-30),
             float((image[known] >= high).mean()),
         )
-
-
-def _values(look: _Look) -> tuple[float, float, float]:
-    return look.contrast, look.sharpness, look.saturation
