@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, find_objects
 
 from ..fitting.voxels.voxel_ownership import surface_voxels
 from ..geometry.mesh import Mesh, mesh_of_faces
@@ -66,7 +66,7 @@ def crop_of(
     found = usable & near
     if not found.any():
         found = usable
-    box = _box(found)
+    box = find_objects(found.astype(np.int8))[0]
     first = np.array([s.start for s in box])
     z, y, x = np.asarray(grid.origin) + first * np.asarray(grid.voxel_size)
     shape = (box[0].stop - first[0], box[1].stop - first[1], box[2].stop - first[2])
@@ -98,15 +98,6 @@ def _distance(mesh: Mesh, regions: np.ndarray, grid: Grid, spacing: np.ndarray) 
         return np.full(grid.shape, np.inf)
     found: np.ndarray = distance_transform_edt(~surface, sampling=spacing)
     return found
-
-
-def _box(found: np.ndarray) -> tuple[slice, slice, slice]:
-    """The smallest box that holds all True voxels."""
-    ends = []
-    for axis in range(3):
-        some = np.flatnonzero(found.any(tuple(a for a in range(3) if a != axis)))
-        ends.append(slice(int(some[0]), int(some[-1]) + 1))
-    return ends[0], ends[1], ends[2]
 
 
 def _near_piece(

@@ -128,26 +128,31 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
         return PredictedError(unknown=str(error))
     except np.linalg.LinAlgError:
         return PredictedError(unknown="the image does not determine the shape")
-    patches = _Patches(state)
-    squares = [patches.means(one) ** 2 for one in noise]
+    mesh = state.mesh
+    patches = Patches(mesh, geometric_mean(state.optics.sigma_um))
+    normals = vertex_normals(mesh.vertices_numpy(), mesh.faces)
+
+    def squared(displaced: FloatArray) -> FloatArray:
+        """(V,) squared means over patches of displacements (V, 3) along the normals."""
+        found: FloatArray = patches.means((displaced * normals).sum(1)) ** 2
+        return found
+
     lacks, other = _alternative(posed, responses, state)
     parts = (
-        np.mean(squares, axis=0),
-        patches.means(responses.settled()) ** 2,
-        patches.means(responses.pulled()) ** 2,
-        _squared_gaps(state.mesh),
-        patches.means(other) ** 2,
+        np.mean([squared(one) for one in noise], axis=0),
+        squared(responses.settled()),
+        squared(responses.pulled()),
+        _squared_gaps(mesh),
+        squared(other),
     )
-
-    seen = _in_image(state.mesh, job.grid)
+    seen = _in_image(mesh, job.grid)
 
     def over(chosen: np.ndarray) -> ShapeDeviation:
         chosen = chosen[seen[chosen]] if seen[chosen].any() else chosen
         return ShapeDeviation(*(float(np.sqrt(part[chosen].mean())) for part in parts))
 
-    every = np.unique(state.mesh.faces)
-    cells = {region: over(own) for region, own in _vertices(state.mesh).items()}
-    return PredictedError(over(every), cells, lacks, cone=state.cone)
+    cells = {k: over(np.unique(mesh.faces[own])) for k, own in mesh.faces_by_region().items()}
+    return PredictedError(over(np.unique(mesh.faces)), cells, lacks, cone=state.cone)
 
 
 def _in_image(mesh: Mesh, grid: Grid) -> np.ndarray:
@@ -205,21 +210,3 @@ def _inside(posed: Posed, state: FitState) -> FloatArray:
         otf = renderer.otf(state.optics)
         shown = level.rendered(renderer, renderer.transform(light=INSIDES), otf)
         return as_floats(view.voxels.of(shown))[:, None]
-
-
-class _Patches:
-    """Means over patches as wide as the PSF."""
-
-    def __init__(self, state: FitState) -> None:
-        width = geometric_mean(state.optics.sigma_um)
-        self._patches = Patches(state.mesh, width)
-        self._normals = vertex_normals(state.mesh.vertices_numpy(), state.mesh.faces)
-
-    def means(self, displaced: FloatArray) -> FloatArray:
-        """(V,) mean displacements along the normals, from displacements (V, 3)."""
-        return self._patches.means((displaced * self._normals).sum(1))
-
-
-def _vertices(mesh: Mesh) -> dict[int, np.ndarray]:
-    """Vertices of each cell."""
-    return {region: np.unique(mesh.faces[own]) for region, own in mesh.faces_by_region().items()}

@@ -57,10 +57,14 @@ def unseen_walls(state: FitState) -> dict[int, int]:
     peak = state.light.membrane * np.asarray(state.density) / (np.sqrt(2 * np.pi) * width)
     step = np.abs(inner - outer)
     pairs, wall = mesh.interfaces()
-    of_wall = _Means(wall, areas, peak, step, len(pairs))
+    area = np.bincount(wall, areas, len(pairs))
+    mean_peak, mean_step = (
+        np.bincount(wall, areas * each, len(pairs)) / np.maximum(area, 1e-300)
+        for each in (peak, step)
+    )
     faces = mesh.faces_by_region()
     found: dict[int, tuple[float, int]] = {}
-    for k in np.flatnonzero((pairs != OUTSIDE).all(1) & (of_wall.area > RULES.area * width**2)):
+    for k in np.flatnonzero((pairs != OUTSIDE).all(1) & (area > RULES.area * width**2)):
         one, other = (int(region) for region in pairs[k])
         around = np.concatenate([faces[one], faces[other]])
         around = around[wall[around] != k]
@@ -69,20 +73,8 @@ def unseen_walls(state: FitState) -> dict[int, int]:
             continue
         usual = np.average(peak[around], weights=weights)
         shown = np.average(np.hypot(peak, step)[around], weights=weights)
-        if of_wall.peak[k] > RULES.dim * usual or of_wall.step[k] > RULES.step * shown:
+        if mean_peak[k] > RULES.dim * usual or mean_step[k] > RULES.step * shown:
             continue
         for cell, neighbour in ((one, other), (other, one)):
-            found[cell] = max(found.get(cell, (0.0, 0)), (float(of_wall.area[k]), neighbour))
+            found[cell] = max(found.get(cell, (0.0, 0)), (float(area[k]), neighbour))
     return {cell: neighbour for cell, (_, neighbour) in found.items()}
-
-
-class _Means:
-    """Area of each wall, and means of peak and step over its faces."""
-
-    def __init__(
-        self, wall: np.ndarray, areas: np.ndarray, peak: np.ndarray, step: np.ndarray, n: int
-    ) -> None:
-        self.area = np.bincount(wall, areas, n)
-        safe = np.maximum(self.area, 1e-300)
-        self.peak = np.bincount(wall, areas * peak, n) / safe
-        self.step = np.bincount(wall, areas * step, n) / safe

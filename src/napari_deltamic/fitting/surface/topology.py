@@ -330,15 +330,12 @@ def _places(lists: list[list[Any]]) -> tuple[ThinPlace, ...]:
 
 
 def _lasts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:
-    return _same(now, before, edge) and now.width < RULES.widens * before.width
+    alike = _alike(now, before) and now.width < RULES.widens * before.width
+    return alike and _meet(now, before, edge)
 
 
 def _alike(one: ThinPlace, other: ThinPlace) -> bool:
     return one.regions == other.regions and one.sides == other.sides
-
-
-def _same(one: ThinPlace, other: ThinPlace, edge: float) -> bool:
-    return _alike(one, other) and _meet(one, other, edge)
 
 
 def _reverts(now: ThinPlace, before: ThinPlace, edge: float) -> bool:

@@ -64,10 +64,11 @@ class Curvature:
             text = f"{len(at.vertices)} vertices are too many for exact errors"
             raise InputError(f"{text} (at most {_MOST_VERTICES})")
         self.directions = Directions.of(mesh, at.vertices)
-        colouring = _colouring(posterior, at, mesh, self.directions)
-        why = _too_much(colouring, posterior)
-        if why:
-            raise InputError(why)
+        given = at.vertices, mesh.edges(), widest_psf(posterior), self.directions.vertex
+        colouring, voxels = Colouring.of(*given), float(np.prod(posterior.level.grid.shape))
+        if colouring.count * voxels > _MOST_WORK:
+            text = f"exact errors would take {colouring.count} renderings"
+            raise InputError(f"{text} of {voxels:.0f} voxels")
         free = np.ones(len(at.vertices)) if held is None else 1.0 - np.asarray(held, float)
         self._free = free[self.directions.vertex]
         light = posterior.light(at)
@@ -216,19 +217,6 @@ def following_insides(light: Light) -> list[Light]:
         return []
     each = each_alone(np.array([k for k, _ in light.cells], np.int64)) or [INSIDES]
     return each if light.membrane else each[1:]
-
-
-def _too_much(colouring: Colouring, posterior: Posterior) -> str:
-    voxels = float(np.prod(posterior.level.grid.shape))
-    if colouring.count * voxels > _MOST_WORK:
-        return f"exact errors would take {colouring.count} renderings of {voxels:.0f} voxels"
-    return ""
-
-
-def _colouring(
-    posterior: Posterior, at: Variables, mesh: Mesh, directions: Directions
-) -> Colouring:
-    return Colouring.of(at.vertices, mesh.edges(), widest_psf(posterior), directions.vertex)
 
 
 def _scale(image: FloatArray, measured: FloatArray, weight: FloatArray) -> tuple[float, float]:

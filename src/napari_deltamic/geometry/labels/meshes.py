@@ -335,18 +335,14 @@ def _cluster(numbers: IntArray, cluster: IntArray, at: _Place) -> Mesh | None:
 
 def _whole(numbers: IntArray, cluster: IntArray) -> IntArray:
     """Keep the largest part of each label, and fill its holes where no other label lies in them."""
-    kept = np.zeros_like(numbers)
-    for number, box in zip(cluster, _boxes(numbers, cluster), strict=True):
+    kept, boxes = np.zeros_like(numbers), ndimage.find_objects(numbers, int(cluster.max()))
+    for number in cluster.tolist():
         doing()
+        box = boxes[number - 1]
         mask = largest_part(numbers[box] == number)
         mask = mask | (ndimage.binary_fill_holes(mask) & (numbers[box] == 0))
         kept[box][mask] = number
     return kept
-
-
-def _boxes(numbers: IntArray, cluster: IntArray) -> list[tuple[slice, ...]]:
-    boxes = ndimage.find_objects(numbers, int(cluster.max()))
-    return [boxes[k - 1] for k in cluster]
 
 
 def _without_gaps(
