@@ -89,22 +89,38 @@ def test_a_reopened_state_renders_as_before(tmp_path):
     np.testing.assert_allclose(state.rendered(), expected, rtol=1e-5, atol=1e-6)
 
 
+def with_state(before, **parts):
+    state = replace(before.result.state, **parts)
+    return replace(before, result=replace(before.result, state=state))
+
+
 def test_dark_nuclei_are_kept(tmp_path):
     before = session()
     dimmed = np.random.default_rng(0).random(SHAPE).astype(np.float32)
-    state = replace(before.result.state, dimmed=dimmed)
-    with_nuclei = replace(before, result=replace(before.result, state=state))
-    save_session(tmp_path / "a.deltamic", with_nuclei)
+    save_session(tmp_path / "a.deltamic", with_state(before, dimmed=dimmed))
     after = load_session(tmp_path / "a.deltamic").result.state
     np.testing.assert_array_equal(after.dimmed, dimmed)
     save_session(tmp_path / "even.deltamic", before)
     even = load_session(tmp_path / "even.deltamic").result.state.rendered()
     shown = after.background + dimmed * (even - after.background)
     np.testing.assert_allclose(after.rendered(), shown, rtol=1e-5)
-    state = replace(state, dimmed=dimmed[1:])
-    other = replace(before, result=replace(before.result, state=state))
-    save_session(tmp_path / "b.deltamic", other)
+    save_session(tmp_path / "b.deltamic", with_state(before, dimmed=dimmed[1:]))
     with pytest.raises(InputError, match="nuclei belong to another image"):
+        load_session(tmp_path / "b.deltamic")
+
+
+def test_a_local_background_is_kept(tmp_path):
+    before = session()
+    around = np.random.default_rng(0).random(SHAPE).astype(np.float32)
+    save_session(tmp_path / "a.deltamic", with_state(before, local_background=around))
+    after = load_session(tmp_path / "a.deltamic").result.state
+    np.testing.assert_array_equal(after.local_background, around)
+    save_session(tmp_path / "even.deltamic", before)
+    even = load_session(tmp_path / "even.deltamic").result.state
+    assert even.local_background is None
+    np.testing.assert_allclose(after.rendered(), even.rendered() + around, rtol=1e-5)
+    save_session(tmp_path / "b.deltamic", with_state(before, local_background=around[1:]))
+    with pytest.raises(InputError, match="local background belongs to another image"):
         load_session(tmp_path / "b.deltamic")
 
 

@@ -156,6 +156,7 @@ def describe(
         "effects": effects_found(settings.scene.effects, state.effects),
         "structure": structure_of(state.light),
         "light": asdict(state.light),
+        "local_background": state.local_background is not None,
         "amplitude": state.amplitude,
         "background": state.background,
         "mesh": {

@@ -33,6 +33,7 @@ _NAMES = {
     "evening": "uneven insides",
     "rival structures": "rivals",
     "narrow": "narrow PSFs",
+    "lit surroundings": "local background, tried",
     "psf tails": "tails of the PSF",
     "unseeded objects": "strays",
     "refits": "changed images",
