@@ -124,3 +124,13 @@ def test_light_of_other_objects_is_no_background():
     given = replace(Problem.of(bright, GRID, ~foreign))
     found = with_local_background(given, START, PSF.sigma_um).local_background
     assert found.max() < 100
+
+
+def test_it_is_found_through_a_psf_that_is_held():
+    given = image(0.3), GRID, START, PSF
+    held = FitSettings(levels=(1.0,), fit_psf=False, structure="interior")
+    found = list(nd.fit(*given, settings=held))
+    even = next(s for s in reversed(found) if s.local_background is None)
+    assert found[-1].local_background is not None
+    assert found[-1].optics.sigma_um == PSF.sigma_um
+    assert abs(off(found[-1])) < 0.7 * abs(off(even))

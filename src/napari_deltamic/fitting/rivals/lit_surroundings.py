@@ -94,7 +94,9 @@ def local_background_instead(
     fitted = objective.fitted
     if not _may_be_tried(problem, terms, objective, against is None):
         return None, 0
-    first = _narrower(fitted.first_optics, terms.level.grid.voxel_size)
+    first = fitted.first_optics
+    if terms.settings.fit_psf:
+        first = _narrower(first, terms.level.grid.voxel_size)
     structure = "interior" if terms.settings.structure == "auto" else fitted.structure
     start = Fitted.begun(begun, first, fitted.effects, fitted.shape.model, structure)
     found = _followed(problem, terms, start, None)
@@ -132,11 +134,15 @@ def _narrower(first: Optics, voxel_size: Widths) -> Optics:
 
 
 def _may_be_tried(problem: Problem, terms: Terms, objective: Objective, alone: bool) -> bool:
-    """Whether its PSF, or the one that followed, may stand in for what surrounds the cells."""
+    """Whether something may stand in for what surrounds the cells: its PSF, the next, its shape."""
     fitted, settings = objective.fitted, terms.settings
     if problem.local_background is not None or settings.structure == "membrane":
         return False
-    if not may_change(terms, fitted) or objective.posed.whole.full is not None:
+    if terms.second is not None or objective.posed.whole.full is not None:
+        return False
+    if not settings.fit_psf:  # then shapes make up for it
+        return fitted.structure != "membrane"
+    if not may_change(terms, fitted):
         return False
     if not alone:
         return True
