@@ -19,7 +19,7 @@ from ...common.triple import Triple as Widths
 from ...common.triple import geometric_mean
 from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import FloatArray, Mesh
-from ...optics import GaussianPSF, Optics
+from ...optics import GaussianMixturePSF, GaussianPSF, Optics
 from ...optics.narrow import RULES as NARROW
 from ..model.fitted import Fitted
 from ..model.problem import Problem
@@ -95,7 +95,7 @@ def local_background_instead(
     if not _may_be_tried(problem, terms, objective, against is None):
         return None, 0
     first = fitted.first_optics
-    if terms.settings.fit_psf:
+    if may_change(terms, fitted):
         first = _narrower(first, terms.level.grid.voxel_size)
     structure = "interior" if terms.settings.structure == "auto" else fitted.structure
     start = Fitted.begun(begun, first, fitted.effects, fitted.shape.model, structure)
@@ -140,10 +140,9 @@ def _may_be_tried(problem: Problem, terms: Terms, objective: Objective, alone: b
         return False
     if terms.second is not None or objective.posed.whole.full is not None:
         return False
-    if not settings.fit_psf:  # then shapes make up for it
-        return fitted.structure != "membrane"
-    if not may_change(terms, fitted):
-        return False
+    if not may_change(terms, fitted):  # the PSF is given: shapes make up for what surrounds them
+        found = isinstance(fitted.first_optics, GaussianMixturePSF)
+        return fitted.structure != "membrane" and not found
     if not alone:
         return True
     told = zip(fitted.optics.sigma_um, fitted.first_optics.sigma_um, strict=True)
