@@ -241,11 +241,11 @@ def resting(optics, left=1.0, edited=False, answered=False):
     posed = SimpleNamespace(left_by=lambda image: (1.0, 0.0))
     objective = SimpleNamespace(left=left, posed=posed, leaves_over=lambda other: left / other.left)
     return SimpleNamespace(
-        stage=SimpleNamespace(edited=edited, progress=SimpleNamespace(answered=answered)),
+        stage=SimpleNamespace(edited=edited, progress=SimpleNamespace(answered=answered), tried=4),
         fitted=SimpleNamespace(optics=optics),
         objective=objective,
         terms=SimpleNamespace(level=SimpleNamespace(grid=GRID)),
-        problem=SimpleNamespace(foreign=None),
+        problem=SimpleNamespace(foreign=None, local_background=None),
         posed_here=lambda: objective,
     )
 
