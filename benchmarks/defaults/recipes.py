@@ -476,6 +476,7 @@ WORDS = {
     "cytoplasm": "a cell whose cytoplasm shines and whose nucleus does not",
     "crowd-cytoplasm": "eight such cells, side by side",
     "flat-nuclei": "two flat nuclei with chromatin, in a few slices",
+    "lit-nuclei": "nuclei in cytoplasm that shines less",
     "chromatin-both": "a membrane, and an inside with chromatin",
     "fading": "a membrane that fades along Z",
     "fading-tissue": "four cells that share walls, fading along Z",
