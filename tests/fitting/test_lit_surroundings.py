@@ -14,6 +14,8 @@ from napari_deltamic.fitting.successor import EVEN
 from napari_deltamic.fitting.voxels.local_background import with_local_background
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
+from napari_deltamic.scene.effects import Background, Effects
+from napari_deltamic.scene.render import offset
 
 GRID = nd.Grid((26, 36, 36), (0.2, 0.2, 0.2))
 MIDDLE = (2.5, 3.5, 3.5)
@@ -99,7 +101,7 @@ def problem():
 
 
 def test_it_is_what_surrounds_the_cells_continued_across_them():
-    found = with_local_background(problem(), START, PSF.sigma_um)
+    found = with_local_background(problem(), START, PSF.sigma_um, Effects())
     around = found.local_background
     assert np.allclose(found.image + around, image(0.3), atol=1e-3)
     middle = tuple(np.rint(np.asarray(MIDDLE) / 0.2).astype(int))
@@ -113,7 +115,7 @@ def test_where_nothing_beside_the_cells_counts_there_is_none():
     nowhere = np.zeros(GRID.shape, bool)
     nowhere[8:18, 12:24, 12:24] = True
     alone = replace(problem(), counted=nowhere)
-    assert with_local_background(alone, START, PSF.sigma_um) is None
+    assert with_local_background(alone, START, PSF.sigma_um, Effects()) is None
 
 
 def test_light_of_other_objects_is_no_background():
@@ -122,7 +124,7 @@ def test_light_of_other_objects_is_no_background():
     foreign = np.zeros(GRID.shape, bool)
     foreign[:, :, :8] = True
     given = replace(Problem.of(bright, GRID, ~foreign))
-    found = with_local_background(given, START, PSF.sigma_um).local_background
+    found = with_local_background(given, START, PSF.sigma_um, Effects()).local_background
     assert found.max() < 100
 
 
@@ -134,3 +136,14 @@ def test_it_is_found_through_a_psf_that_is_held():
     assert found[-1].local_background is not None
     assert found[-1].optics.sigma_um == PSF.sigma_um
     assert abs(off(found[-1])) < 0.7 * abs(off(even))
+
+
+def test_what_effects_add_is_no_background():
+    slope = Effects(background=Background(coefficients=(0.0, 0.0, 30.0)))
+    added = offset(slope, GRID).numpy().astype(np.float32)
+    assert np.ptp(added) > 50
+    risen = Problem.of(image(0.3) + added, GRID)
+    given = START, PSF.sigma_um
+    plain = with_local_background(problem(), *given, Effects()).local_background
+    found = with_local_background(risen, *given, slope).local_background
+    assert np.allclose(found, plain, atol=0.01)

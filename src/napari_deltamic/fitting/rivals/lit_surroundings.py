@@ -119,7 +119,7 @@ def _followed(
     None where hardly any is seen. own : (Z, Y, X) light of the cells, where it is known.
     """
     first = start.first_optics
-    without = with_local_background(problem, start.mesh, first.sigma_um, own)
+    without = with_local_background(problem, start.mesh, first.sigma_um, start.effects, own)
     if without is None:
         return None
     level, _ = without.levels(first, terms.settings, start.effects, 1.0, start.effects.spread)

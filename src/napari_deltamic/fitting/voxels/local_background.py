@@ -21,6 +21,8 @@ from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import FloatArray, Mesh
 from ...images.missing import filled
 from ...scene import Grid
+from ...scene.effects import Effects
+from ...scene.render import offset
 from ..model.problem import Problem
 
 Widths = tuple[float, float, float]
@@ -69,7 +71,11 @@ RULES = LocalBackgroundRules()
 
 
 def with_local_background(
-    problem: Problem, mesh: Mesh, sigma: Widths, own: NDArray[np.floating] | None = None
+    problem: Problem,
+    mesh: Mesh,
+    sigma: Widths,
+    effects: Effects,
+    own: NDArray[np.floating] | None = None,
 ) -> Problem | None:
     """The problem whose image is without its local background; None where hardly any is seen.
 
@@ -81,6 +87,8 @@ def with_local_background(
         The surfaces, um.
     sigma
         um, Z Y X: widths of the PSF.
+    effects
+        What they add to the image is not its local background.
     own
         (Z, Y, X) light of the cells, where it is known.
     """
@@ -97,9 +105,9 @@ def with_local_background(
     shell = (away > beyond) & (away < 2 * beyond)
     if known[shell].sum() <= RULES.share * shell.sum():
         return None
-    found = _continued(
-        problem.image if own is None else problem.image - own, known, RULES.smooth / spacing
-    )
+    added = offset(effects, grid, problem.frame)
+    others = [part for part in (own, None if added is None else added.numpy()) if part is not None]
+    found = _continued(problem.image - sum(others), known, RULES.smooth / spacing)
     # What is even belongs to the background of the fit.
     found -= np.float32(np.median(found[known]))
     return replace(problem, image=problem.image - found, local_background=found)
