@@ -12,6 +12,7 @@ from napari_deltamic.errors import InputError
 from napari_deltamic.evidence import recommend, search
 from napari_deltamic.evidence.candidates import beyond_bounds
 from napari_deltamic.evidence.score import score
+from napari_deltamic.fitting.model.state import FitState
 from napari_deltamic.scene.effects import (
     Attenuation,
     Effects,
@@ -61,18 +62,29 @@ def test_the_predicted_bias_is_that_of_a_fit(hazy):
 
 
 def test_the_search_begins_with_the_numbers_that_a_fit_has_found(monkeypatch):
-    """Not with those that its settings started from."""
-    asked = []
+    """Not with those that its settings started from; on the image without a local background."""
+    asked, seen = [], []
+
+    def noted(image, *given, effects, fitted, **more):
+        asked.append(effects)
+        seen.append((image, fitted))
+
     module = importlib.import_module("napari_deltamic.evidence.recommend")
-    monkeypatch.setattr(module, "recommend", lambda *given, **more: asked.append(more["effects"]))
+    monkeypatch.setattr(module, "recommend", noted)
     begun, found = (Effects.of(Halo(fraction=share, width=1.0)) for share in (0.1, 0.3))
     settings = SimpleNamespace(fit=SETTINGS, scene=SimpleNamespace(effects=begun))
+    image = np.full(GRID.shape, 5, np.float32)
     job = SimpleNamespace(
-        image=None, grid=GRID, mesh=TRUTH, optics=OPTICS, settings=settings, counted=None
+        image=image, grid=GRID, mesh=TRUTH, optics=OPTICS, settings=settings, counted=None
     )
     module.recommend_for(job)
-    module.recommend_for(job, SimpleNamespace(effects=found))
+    around = np.full(GRID.shape, 2, np.float32)
+    end = (1, 1, 1, TRUTH, OPTICS, np.ones(len(TRUTH.faces)), 0.1, 1.0, 0.0, 1.0)
+    module.recommend_for(job, FitState(*end, effects=found, local_background=around))
     assert asked == [begun, found]
+    assert seen[0] == (image, None)
+    assert (seen[1][0] == image - 2).all()
+    assert seen[1][1].local_background is None
 
 
 @pytest.mark.slow
