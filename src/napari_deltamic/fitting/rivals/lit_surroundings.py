@@ -1,9 +1,9 @@
 """Whether cells lie in light that is not theirs, such as nuclei in cytoplasm: a local background.
 
 A PSF that is wider than the blur of the image is a sign of it. So a few steps are taken with the
-local background subtracted, through the PSF that the image told at first; where that leaves clearly
-less unexplained beside the surfaces, the fit begins anew with it. There, the local background is
-not measured but continued from further away, so it cannot win by following the image.
+local background subtracted, through a narrower PSF than the image told at first; where that leaves
+clearly less unexplained beside the surfaces, the fit begins anew with it. There, the local
+background is not measured but continued from further away, so it cannot win by following the image.
 """
 
 from __future__ import annotations
@@ -134,7 +134,10 @@ def _narrower(first: Optics, voxel_size: Widths) -> Optics:
 
 
 def _may_be_tried(problem: Problem, terms: Terms, objective: Objective, alone: bool) -> bool:
-    """Whether something may stand in for what surrounds the cells: its PSF, the next, its shape."""
+    """Whether a PSF or a shape may stand in for what surrounds the cells.
+
+    alone : whether no other kind of PSF has followed.
+    """
     fitted, settings = objective.fitted, terms.settings
     if problem.local_background is not None or settings.structure == "membrane":
         return False
@@ -163,7 +166,7 @@ def _left_over(one: Objective, other: Objective) -> list[float]:
     for mesh in (one.fitted.mesh, other.fitted.mesh):
         near = counted & (_from_surface(mesh, one, spacing) <= RULES.beside)
         mine, its = (_left(objective, near) for objective in (one, other))
-        found.append(mine / max(its, 1e-300))
+        found.append(mine / its if its > 0 else 1.0)  # where no voxel counts
     return found
 
 
