@@ -1,9 +1,9 @@
 """Which fit follows one that has ended: with another model of the image, or back to the one before.
 
 The PSF of an objective is chosen after a few steps (:mod:`.light_cone`), and so is one with long
-tails where no objective is better (:mod:`.psf_tails`). What has begun anew with it may end
-elsewhere: with cells lost or merged, or where the microscope was another one. So both ends are
-compared, and the one that leaves less of the same voxels stays.
+tails where no objective is better (:mod:`.psf_tails`); then light around the cells is looked for
+(:mod:`.lit_surroundings`). The new fit may end elsewhere: with cells lost or merged, or with the
+wrong microscope. So both ends are compared, and the new fit must explain enough.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from .voxels.ground_again import ground_again
 OWN_LIGHT = (
     "light that was assigned to other objects is the cell's own: the fit goes on with more voxels"
 )
-BACK = "the new PSF explains less: the fit goes back to the Gaussian PSF"
-EVEN = "the local background explains less: the fit goes back to an even one"
-NARROW = "the new PSF is narrower than voxels can resolve: the fit goes back to the Gaussian PSF"
+BACK = "the new PSF explains less: the fit goes back to the previous one"
+EVEN = "a local background gains too little: the fit uses an even one again"
+NARROW = "the new PSF is narrower than voxels can resolve: the fit goes back to the previous one"
 
-# Times what the former fit leaves: what is tried at rest does not make up for so much. Chosen;
-# measured on 6 scenes and 3 real stacks, it moved by at most 1.3 % from the first rest on.
+# Times what the former fit leaves: trials at rest cannot make up for more. Chosen; on 6 scenes and
+# 3 real stacks, the ratio was measured to change by at most 1.3 % after the first rest.
 _BEHIND = 1.05
 # By definition in this order; see :attr:`.stage.Stage.tried`.
 _TILT, _OBJECTIVE, _TAILS, _SURROUNDINGS = 1, 2, 3, 4
-# An objective gains so many times (of the logarithm) what a tilt does, or the tilt is followed: its
-# trial takes more steps, and all that may shine does. Chosen; measured: 1.9 times in a stack with a
-# tilt that ended 0.8 voxel off with an objective, 0.3 with the tilt; 6 times in real vesicles.
+# An objective must gain this many times as much (in logarithm) as a tilt, as its trial takes more
+# steps, and everything that may shine does. Chosen; measured: 1.9 times in a tilted stack, 0.8
+# voxel off with an objective and 0.3 with the tilt; 6 times in real vesicles.
 _TWICE = 2.0
 # Times what the former fit leaves: slanted shapes and light inside can make up for a tilt, so a fit
 # with one that leaves as much stays. Chosen; measured: 1.0006 in a cell that such a fit ended 0.07
@@ -98,7 +98,7 @@ def successor(run: Run, finished: bool) -> tuple[Run | None, bool]:
         back = None if run.stage.edited else _back(run, former)
         if back is not None:
             return back, False
-        if _explains_more(run, former):
+        if _adds_local_background(run, former):
             former = None  # all kinds of PSF may still be tried
     if not finished:
         return None, False
@@ -155,15 +155,15 @@ def _with_another_psf(run: Run) -> tuple[Run | None, bool]:
     return None, False
 
 
-def _explains_more(run: Run, former: Run) -> bool:
+def _adds_local_background(run: Run, former: Run) -> bool:
     """Whether a run has a local background, and the former one had none."""
     return run.problem.local_background is not None and former.problem.local_background is None
 
 
 def _tried(run: Run, former: Run) -> int:
-    """What it is that was tried in place of an even background and a Gaussian along the axes."""
+    """What was tried instead of an even background and a Gaussian along the axes."""
     optics = run.fitted.optics
-    if _explains_more(run, former):
+    if _adds_local_background(run, former):
         return _SURROUNDINGS
     if isinstance(optics, GaussianMixturePSF):
         return _TAILS
@@ -238,7 +238,7 @@ def is_given_up(run: Run, former: Run | None) -> bool:
         return False
     if _became_narrow(run, former):
         return True
-    if _explains_more(run, former):
+    if _adds_local_background(run, former):
         return False  # it may still go through another PSF
     return run.objective.leaves_over(former.posed_here()) > _BEHIND
 
@@ -251,17 +251,17 @@ def _became_narrow(run: Ending, former: Ending) -> bool:
 
 
 def _back(run: Run, former: Run) -> Run | None:
-    """The fit before, where its end explains more, or this one's PSF cannot be; None else."""
+    """The former fit, if this one explains too little or its PSF cannot be; else None."""
     narrow, kind = _became_narrow(run, former), _tried(run, former)
-    if not narrow and _leaves_less(run, former, kind):
+    if not narrow and _explains_enough(run, former, kind):
         return None
     run.say(EVEN if kind == _SURROUNDINGS else NARROW if narrow else BACK)
     former.come_back(run.stage, kind)
     return former
 
 
-def _leaves_less(run: Run, former: Run, kind: int) -> bool:
-    """Whether a run explains enough more than the former one."""
+def _explains_enough(run: Run, former: Run, kind: int) -> bool:
+    """Whether a run explains enough to stay."""
     before = former.posed_here()
     if kind == _SURROUNDINGS:
         return explains_more_beside(run.objective, before)

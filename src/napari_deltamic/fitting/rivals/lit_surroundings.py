@@ -1,9 +1,9 @@
 """Whether cells lie in light that is not theirs, such as nuclei in cytoplasm: a local background.
 
 A PSF that is wider than the blur of the image is a sign of it. So a few steps are taken with the
-local background subtracted, through a narrower PSF than the image told at first; where that leaves
-clearly less unexplained beside the surfaces, the fit begins anew with it. There, the local
-background is not measured but continued from further away, so it cannot win by following the image.
+local background subtracted, through a PSF narrower than first estimated; if that explains clearly
+more beside the surfaces, the fit starts again with it. Beside them, the local background is
+continued from further away, so it cannot win by following the image.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from .rival_structures import begun as objective_of
 from .rival_structures import stepped
 
 IS_LIT = (
-    "the image shows light around the cells that is not theirs, as of cytoplasm around nuclei: the "
-    "fit begins anew with a local background"
+    "light around the cells is not their own, such as that of cytoplasm around nuclei: the fit "
+    "starts again with a local background"
 )
 
 
@@ -46,19 +46,19 @@ class SurroundingsRules:
     Attributes
     ----------
     wider
-        Times the width that the image told at first: a fitted PSF that is wider along some axis may
-        stand in for what surrounds the cells. Chosen; measured: 1.1 to 2.6 where it did.
+        Times the width first estimated: a fitted PSF that is wider than this along any axis may be
+        making up for what surrounds the cells. Chosen; measured: 1.1 to 2.6 where it was.
     narrower
-        The width of the PSF with which the trial begins, of that. Chosen: the spectrum of insides
-        falls faster than that of membranes, and faster still where they lie in light, so that it
-        tells a width 1.4 to 2.2 times too large. Measured on nine: 0.6 left 0.4 to 1.7 voxels of
-        error, 0.5 0.3 to 0.8, 0.4 0.2 to 0.4.
+        The width of the PSF with which the trial begins, over the one first estimated. Chosen: the
+        spectrum falls faster for insides than for membranes, and faster still where they lie in
+        light, so that its width is 1.4 to 2.2 times too large. Errors measured on nine scenes: 0.4
+        to 1.7 voxels with 0.6, 0.3 to 0.8 with 0.5, 0.2 to 0.4 with 0.4.
     beside
         Widths of that PSF: voxels nearer to a surface than this are compared. Chosen.
     left
-        Of the squares that are left there without it, in the mean over voxels beside the surfaces
-        of either, and nowhere more than without: what leaves more is dropped. Chosen; measured: 0.3
-        to 0.96 in such nuclei, 0.99 to 1.3 elsewhere.
+        Squared residuals there, over those without a local background: the geometric mean of both
+        ratios, for voxels beside either fit's surfaces, must be below this, and each below 1.
+        Chosen; measured: 0.3 to 0.96 in such nuclei, 0.99 to 1.3 elsewhere.
     """
 
     wider: float = 1.05
@@ -77,19 +77,18 @@ def local_background_instead(
     objective: Objective,
     against: Objective | None = None,
 ) -> tuple[tuple[Problem, Optics] | None, int]:
-    """The problem without its local background, if that is clearly better; and evaluations.
+    """The problem with its local background subtracted, if clearly better; evaluations spent.
 
     Parameters
     ----------
     problem
-        Of the fit.
+        What the fit explains.
     begun
-        Where it began: where it has ended, surfaces may lie anywhere in what surrounds the cells.
+        Where it began, since at its end surfaces may lie anywhere in what surrounds the cells.
     terms, objective
         Of the fit at its end, before its last level is left.
     against
-        The objective of a fit with another kind of PSF that followed it; None: it is held against
-        itself.
+        The objective of the fit that followed with another kind of PSF; None: compare with it.
     """
     fitted = objective.fitted
     if not _may_be_tried(problem, terms, objective, against is None):
@@ -114,9 +113,9 @@ def local_background_instead(
 def _followed(
     problem: Problem, terms: Terms, start: Fitted, own: NDArray[np.floating] | None
 ) -> tuple[Problem, Objective, int] | None:
-    """The problem without its local background around a start, a few steps on; evaluations.
+    """The problem, local background subtracted, a few steps on from a start; evaluations spent.
 
-    None where hardly any is seen. own : (Z, Y, X) light of the cells, where it is known.
+    None where too little of it is seen. own : (Z, Y, X) light of the cells, where it is known.
     """
     first = start.first_optics
     without = with_local_background(problem, start.mesh, first.sigma_um, start.effects, own)
@@ -153,13 +152,13 @@ def _may_be_tried(problem: Problem, terms: Terms, objective: Objective, alone: b
 
 
 def explains_more_beside(one: Objective, other: Objective) -> bool:
-    """Whether one leaves clearly less than another beside the surfaces, and nowhere more."""
+    """Whether one leaves clearly less than another, beside the surfaces of both."""
     left = _left_over(one, other)
     return max(left) < 1 and geometric_mean(left) < RULES.left
 
 
 def _left_over(one: Objective, other: Objective) -> list[float]:
-    """Squares that one leaves over those that another does, beside the surfaces of each."""
+    """Ratios of squared residuals, one to the other, beside the surfaces of each."""
     spacing = spacing_for(one.terms.level.grid, one.fitted.first_optics.sigma_um)
     counted = (one.terms.level.counted & other.terms.level.counted).cpu().numpy()
     found = []
