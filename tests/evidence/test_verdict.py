@@ -64,6 +64,7 @@ def test_a_fit_without_fault_is_good():
         ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
         ({"alone": True}, "fair", "insides alone may explain as much"),
         ({"nuclei": True}, "fair", "a dim middle was taken for a dark nucleus"),
+        ({"lit": True}, "fair", "subtracted as a local background, only roughly known"),
         (
             {"slices": SlicesApart(shift=0.43)},
             "fair",
@@ -219,6 +220,7 @@ def test_one_bad_cell_spoils_no_other_and_is_named():
         ("unsure", {"unsure": True}),
         ("alone", {"alone": True}),
         ("nuclei", {"nuclei": True}),
+        ("lit", {"lit": True}),
         ("widths", {"widths": {"across": 0.6}}),
         ("widths", {"widths": {"across": 1.5}}),
         ("narrow", {"narrow": True}),

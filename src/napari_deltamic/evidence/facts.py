@@ -147,6 +147,8 @@ class Facts:
         Whether insides alone may explain as much as both, with surfaces further out.
     nuclei
         Whether dim middles were taken for dark nuclei.
+    lit
+        Whether a local background was subtracted.
     accuracy
         Relative error that the rendered images might have.
     oblong
@@ -175,6 +177,7 @@ class Facts:
     unsure: bool = False
     alone: bool = False
     nuclei: bool = False
+    lit: bool = False
     accuracy: float = 0.0
     oblong: tuple[float, float] | None = None
     followed: float | None = None

@@ -155,6 +155,15 @@ def _nuclei(fit: Facts) -> Reason | None:
     return Reason("nuclei", "fair", f"{text} (try --structure membrane)")
 
 
+def _lit(fit: Facts) -> Reason | None:
+    if not fit.lit:
+        return None
+    text = (
+        "light around the cells was subtracted as a local background, which is only roughly known"
+    )
+    return Reason("lit", "fair", f"{text}: look at the contours")
+
+
 # Of these, cells tell themselves how well they are explained and how far they may still move; and
 # dim cells are not saturated.
 FIT_CHECKS: tuple[FitCheck, ...] = (_unfinished, _explained, _saturated)
@@ -177,4 +186,5 @@ SHARED_CHECKS: tuple[FitCheck, ...] = (
     _unsure,
     _alone,
     _nuclei,
+    _lit,
 )

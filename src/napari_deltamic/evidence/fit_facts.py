@@ -92,6 +92,7 @@ def facts_of(
         unsure=state.unsure and not state.light.membrane,
         alone=state.unsure and state.light.membrane > 0,
         nuclei=state.dimmed is not None,
+        lit=state.local_background is not None,
         accuracy=job.settings.fit.image_accuracy,
         oblong=oblong(size),
         followed=_followed(job, state, seen),
