@@ -158,9 +158,7 @@ def _nuclei(fit: Facts) -> Reason | None:
 def _lit(fit: Facts) -> Reason | None:
     if not fit.lit:
         return None
-    text = (
-        "light around the cells was subtracted as a local background, which is only roughly known"
-    )
+    text = "light around the cells was subtracted as a local background, only roughly known"
     return Reason("lit", "fair", f"{text}: look at the contours")
 
 
