@@ -204,7 +204,7 @@ def always_tried(monkeypatch):
     """The PSF of an objective is tried at the end of every fit; returns how often it was."""
     asked = []
 
-    def tried(terms, fitted, image):
+    def tried(terms, fitted, image, left):
         asked.append(fitted.optics)
         return widefield_of(ABOUT), 1
 
