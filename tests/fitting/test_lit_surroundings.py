@@ -9,7 +9,8 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.errors import InputError
 from napari_deltamic.fitting.model.problem import Problem
-from napari_deltamic.fitting.rivals.lit_surroundings import IS_LIT
+from napari_deltamic.fitting.rivals import lit_surroundings
+from napari_deltamic.fitting.rivals.lit_surroundings import IS_LIT, RULES
 from napari_deltamic.fitting.successor import EVEN
 from napari_deltamic.fitting.voxels.local_background import with_local_background
 from napari_deltamic.geometry import sphere
@@ -147,3 +148,19 @@ def test_what_effects_add_is_no_background():
     plain = with_local_background(problem(), *given, Effects()).local_background
     found = with_local_background(risen, *given, slope).local_background
     assert np.allclose(found, plain, atol=0.01)
+
+
+@pytest.mark.parametrize(("times", "begins"), [(0.99, True), (1.01, False)])
+def test_a_trial_that_begins_far_off_takes_no_step(monkeypatch, times, begins):
+    """In an embryo of 56 cells, whose membranes shine, its steps were a fifth of the fit."""
+    ratios, trials = [times * RULES.hopeless, 2 * RULES.hopeless], []
+
+    def stepped(rival):
+        trials.append(rival)
+        return rival, 7
+
+    monkeypatch.setattr(lit_surroundings, "_left_over", lambda one, other: ratios)
+    monkeypatch.setattr(lit_surroundings, "stepped", stepped)
+    found = list(begun())
+    assert bool(trials) == begins
+    assert not any(IS_LIT in state.message for state in found)
