@@ -1,6 +1,7 @@
 """A fit whose image shows a tilted PSF goes on with a Gaussian along other axes."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +10,9 @@ import torch
 import napari_deltamic as nd
 from napari_deltamic.fitting.job import FitInput, following
 from napari_deltamic.fitting.model.imaging import Imaging
+from napari_deltamic.fitting.rivals import psf_tails, psf_tilt
 from napari_deltamic.fitting.rivals.found_psf import psf_from, values_of
-from napari_deltamic.fitting.rivals.psf_tilt import of_any_axes, tilt_of
+from napari_deltamic.fitting.rivals.psf_tilt import of_any_axes, tilt_instead, tilt_of
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.results.moved_numbers import moved_numbers
@@ -116,3 +118,29 @@ def test_how_tilted():
     assert tilt_of(ALONG) == pytest.approx(0)
     assert tilt_of(of_any_axes(ALONG)) == pytest.approx(0)
     assert tilt_of(turned(45, 0.6, 0.2)) == pytest.approx((0.36 - 0.04) / (0.36 + 0.04))
+
+
+@pytest.mark.parametrize(("degrees", "stops"), [(0.0, True), (5.0, True), (15.0, False)])
+def test_steps_end_where_it_turns_too_little(monkeypatch, degrees, stops):
+    """Whatever they gain: that may be what the fit had left to gain."""
+    asked = []
+
+    def stepped(rival, hopeless):
+        asked.append(hopeless(rival))
+        rival.fitted = rival.fitted.seen_through(turned(degrees, 0.4, 0.2))
+        asked.append(hopeless(rival))
+        return rival, 1
+
+    class Fitted(SimpleNamespace):
+        def seen_through(self, optics):
+            return Fitted(optics=optics, first_optics=ALONG)
+
+    monkeypatch.setattr(
+        psf_tilt, "begun", lambda terms, fitted, factored: SimpleNamespace(fitted=fitted)
+    )
+    monkeypatch.setattr(psf_tilt, "stepped", stepped)
+    monkeypatch.setattr(psf_tilt, "share_left", lambda rival, image: 0.5)
+    monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: 1 - 0.1 * len(asked))
+    terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
+    tilt_instead(terms, Fitted(optics=ALONG, first_optics=ALONG), None)
+    assert asked == [False, stops]
