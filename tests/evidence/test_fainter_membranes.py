@@ -81,13 +81,24 @@ def test_it_is_told_how_far_the_surface_may_be_off(hidden, most, monkeypatch):
     assert inwards(hidden[2], other.moved) > 0.35 * FURTHER
 
 
-def test_the_predicted_error_has_it(hidden):
+def predicted(hidden, structure):
     image, settings, state = hidden
     scene = SceneSettings(voxel_size=GRID.voxel_size, sigma=OPTICS.sigma_um)
-    run = RunSettings(image="", seeds="", scene=scene, fit=settings)
-    told = predicted_error(FitInput(run, image, GRID, state.mesh, OPTICS, None), state)
-    assert told.lacks == "light of membranes"
-    assert told.whole.alternative > 0.35 * FURTHER
+    fit = settings.model_copy(update={"structure": structure})
+    run = RunSettings(image="", seeds="", scene=scene, fit=fit)
+    return predicted_error(FitInput(run, image, GRID, state.mesh, OPTICS, None), state)
+
+
+def test_the_predicted_error_has_it(hidden):
+    found = predicted(hidden, "auto")
+    assert found.lacks == "light of membranes"
+    assert found.whole.alternative > 0.35 * FURTHER
+
+
+def test_it_has_not_where_the_user_says_that_insides_alone_shine(hidden):
+    found = predicted(hidden, "interior")
+    assert found.lacks != "light of membranes"
+    assert found.whole.total < 0.2 * FURTHER
 
 
 @pytest.mark.slow

@@ -172,6 +172,14 @@ def test_a_predicted_error_decides(parts, grade, word):
     assert found.as_plain()["error"]["whole_um"]["total"] == pytest.approx(off.total)
 
 
+def test_what_a_user_can_say_of_membranes_is_asked():
+    off = ShapeDeviation(0.0, 0.0, 0.0, 0.0, 0.1)
+    for lacks in ("light of membranes", "light inside"):
+        error = PredictedError(off, {1: off}, lacks)
+        words = judged(replace(FINE, error=error, voxel=0.2)).sentence()
+        assert ("(try --structure interior)" in words) == (lacks == "light of membranes")
+
+
 @pytest.mark.parametrize(("cut", "grade"), [(0.3, "good"), (0.6, "fair"), (0.8, "poor")])
 def test_an_image_that_is_mostly_cut_is_not_trusted(cut, grade):
     found = judged(replace(FINE, cut=cut))

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 from ..fitting.objective.deep_insides import RULES as DEEP
 from .facts import CellFacts, Facts
+from .fainter_membranes import NAME as LIGHT_OF_MEMBRANES
 from .left_out import Place
 from .reason import Reason, fair_if, unexplained
 from .verdict_rules import RULES
@@ -46,8 +47,11 @@ def _off(cell: CellFacts, fit: Facts) -> Reason | None:
     if predicted is None or off <= RULES.error_good:
         return None
     shares = predicted.shares()
-    most = _PARTS[max(shares, key=lambda name: shares[name])].format(lacks=fit.error.lacks)
-    text = f"its surface is off by about {off:.2g} voxels, mostly from {most}"
+    most = max(shares, key=lambda name: shares[name])
+    part = _PARTS[most].format(lacks=fit.error.lacks)
+    text = f"its surface is off by about {off:.2g} voxels, mostly from {part}"
+    if most == "alternative" and fit.error.lacks == LIGHT_OF_MEMBRANES:
+        text += ": do membranes shine? If not, say so (try --structure interior)"
     return Reason("off", fair_if(off <= RULES.error_fair), text)
 
 

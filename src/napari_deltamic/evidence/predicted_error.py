@@ -137,7 +137,7 @@ def predicted_error(job: FitInput, state: FitState) -> PredictedError:
         found: FloatArray = patches.means((displaced * normals).sum(1)) ** 2
         return found
 
-    lacks, other = _alternative(posed, responses, state)
+    lacks, other = _alternative(posed, responses, state, told=settings.structure == "interior")
     parts = (
         np.mean([squared(one) for one in noise], axis=0),
         squared(responses.settled()),
@@ -170,13 +170,19 @@ def _squared_gaps(mesh: Mesh) -> FloatArray:
     return found
 
 
-def _alternative(posed: Posed, responses: Responses, state: FitState) -> tuple[str, FloatArray]:
-    """What the model lacks, "" for nothing, and how the surface would move with it, (V, 3) um."""
+def _alternative(
+    posed: Posed, responses: Responses, state: FitState, told: bool
+) -> tuple[str, FloatArray]:
+    """What the model lacks, "" for nothing, and how the surface would move with it, (V, 3) um.
+
+    told : whether membranes do not shine, as the user says.
+    """
     tried = responses.alternatives(_lacking(posed, responses, state))
     best = max((one.gain for one in tried), default=0.0)
     likely = [one for one in tried if one.gain >= max(REFITS.sure, RULES.as_good * best)]
     # Around dark nuclei, fits of both have already been compared with insides alone.
-    membranes = None if state.dimmed is not None else fainter_membranes(posed, responses, state)
+    asked = state.dimmed is None and not told
+    membranes = fainter_membranes(posed, responses, state) if asked else None
     if membranes is not None:
         likely.append(membranes)
     if not likely:
