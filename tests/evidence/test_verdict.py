@@ -65,6 +65,7 @@ def test_a_fit_without_fault_is_good():
         ({"alone": True}, "fair", "insides alone may explain as much"),
         ({"nuclei": True}, "fair", "a dim middle was taken for a dark nucleus"),
         ({"lit": True}, "fair", "subtracted as a local background, only roughly known"),
+        ({"leans": True}, "fair", "through a tilted PSF"),
         (
             {"slices": SlicesApart(shift=0.43)},
             "fair",
@@ -229,6 +230,7 @@ def test_one_bad_cell_spoils_no_other_and_is_named():
         ("alone", {"alone": True}),
         ("nuclei", {"nuclei": True}),
         ("lit", {"lit": True}),
+        ("leans", {"leans": True}),
         ("widths", {"widths": {"across": 0.6}}),
         ("widths", {"widths": {"across": 1.5}}),
         ("narrow", {"narrow": True}),

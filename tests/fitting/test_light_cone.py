@@ -239,7 +239,9 @@ def test_a_fit_goes_back_where_the_psf_of_an_objective_explains_less(always_trie
 def resting(optics, left=1.0, edited=False, answered=False):
     """A run at rest that leaves so much, over what another does."""
     posed = SimpleNamespace(left_by=lambda image: (1.0, 0.0))
-    objective = SimpleNamespace(left=left, posed=posed, leaves_over=lambda other: left / other.left)
+    objective = SimpleNamespace(
+        left=left, posed=posed, leaves_of_measured=lambda other: left / other.left
+    )
     return SimpleNamespace(
         stage=SimpleNamespace(edited=edited, progress=SimpleNamespace(answered=answered), tried=4),
         fitted=SimpleNamespace(optics=optics),
@@ -325,7 +327,7 @@ def after_steps(
     fitted = SimpleNamespace(
         optics=GAUSSIAN,
         first_optics=GAUSSIAN,
-        seen_through=lambda optics: SimpleNamespace(first_optics=optics),
+        seen_through=lambda optics: SimpleNamespace(first_optics=optics, first_effects=None),
     )
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=grid))
     return (terms, fitted), objective_instead(terms, fitted, None)
@@ -439,7 +441,7 @@ def test_a_confocal_fit_begins_anew_where_it_is_much_aberrated(monkeypatch, sphe
         spend=lambda evaluations: None,
         say=went_on.append,
         checkpoint=lambda: SimpleNamespace(saved=dict, policy="what was tried"),
-        again=lambda optics, former=None: SimpleNamespace(
+        again=lambda optics, former=None, effects=None: SimpleNamespace(
             go_on_from=lambda kept: None,
             go_on_at=lambda *given: went_on.append(given),
         ),

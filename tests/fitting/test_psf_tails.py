@@ -229,6 +229,7 @@ def test_a_fit_with_tails_goes_on_where_the_steps_ended(monkeypatch):
         there = f"napari_deltamic.fitting.successor.{name}"
         monkeypatch.setattr(there, lambda *given, answer=answer: answer)
     monkeypatch.setattr(Seen, "first_optics", TAILED, raising=False)
+    monkeypatch.setattr(Seen, "first_effects", Effects(), raising=False)
     went_on = []
     run = SimpleNamespace(
         let_former_go=lambda: None,
@@ -240,7 +241,7 @@ def test_a_fit_with_tails_goes_on_where_the_steps_ended(monkeypatch):
         spend=lambda evaluations: None,
         say=went_on.append,
         checkpoint=lambda: SimpleNamespace(saved=dict, policy="what was tried"),
-        again=lambda optics, former=None: SimpleNamespace(
+        again=lambda optics, former=None, effects=None: SimpleNamespace(
             go_on_from=lambda kept: None, go_on_at=lambda *given: went_on.append(given)
         ),
     )

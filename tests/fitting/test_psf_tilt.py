@@ -17,7 +17,7 @@ from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.results.moved_numbers import moved_numbers
 from napari_deltamic.runs.settings import FitSettings, RunSettings, SceneSettings
-from napari_deltamic.scene.effects import Effects
+from napari_deltamic.scene.effects import Effects, Halo
 
 GRID = nd.Grid((28, 32, 40), (0.3, 0.15, 0.15))
 MIDDLE = (4.2, 2.4, 3.0)
@@ -97,6 +97,57 @@ def test_a_checkpoint_goes_on_with_it(tmp_path, own):
     )
 
 
+def tailed(degrees):
+    """As a light sheet leaves it: a part of what the objective's cone would spread."""
+    core = turned(degrees)
+    wide = nd.GaussianPSF(covariance=core.covariance + 0.5**2 * torch.eye(3))
+    clean = sum(s * nd.render(TRUE, GRID, p, 1e-3).numpy() for s, p in ((0.6, core), (0.4, wide)))
+    drawn = np.random.default_rng(0).poisson(4 + 60 * clean / clean.max())
+    return drawn.astype(np.float32)
+
+
+def begun_tailed(optics=ALONG, **further):
+    given = tailed(35), GRID, START, optics
+    return nd.fit(*given, settings=FitSettings(structure="membrane"), **further)
+
+
+@cache
+def states_tailed():
+    return list(begun_tailed())
+
+
+def test_its_tails_are_found_as_a_halo():
+    state = states_tailed()[-1]
+    assert not state.optics.diagonal
+    assert state.effects.halo.fraction == pytest.approx(0.4, abs=0.1)
+    assert off(state) < 0.12
+    assert last(35).effects.halo is None
+
+
+def test_settings_hold_the_halo_and_let_it_go_again():
+    scene = SceneSettings(voxel_size=GRID.voxel_size, sigma=ALONG.sigma_um)
+    settings = RunSettings(image="", scene=scene, seeds="")
+    job = FitInput(settings, tailed(35), GRID, START, ALONG, None)
+    again = following(job, states_tailed()[-1])
+    assert again.settings.scene.effects.names == ("halo",)
+    assert following(again, states_tailed()[-1]) is again
+    back = following(again, states_tailed()[0])
+    assert back.settings.scene.effects.names == ()
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_a_checkpoint_goes_on_with_a_halo(tmp_path, own):
+    first = [state.optics.diagonal for state in states_tailed()].index(False)
+    kept = states_tailed()[first + 5]
+    kept.save(tmp_path / "state.npz")
+    given = {"optics": kept.optics, "effects": kept.effects} if own else {}
+    *_, resumed = begun_tailed(**given, resume=tmp_path / "state.npz")
+    end = states_tailed()[-1]
+    assert resumed.iteration == end.iteration
+    assert resumed.effects.halo == end.effects.halo
+    np.testing.assert_allclose(resumed.mesh.vertices_numpy(), end.mesh.vertices_numpy(), atol=1e-6)
+
+
 def test_where_it_began_comes_back_from_plain_values():
     optics = turned(20)
     assert torch.equal(psf_from(values_of(optics)).covariance, optics.covariance)
@@ -125,22 +176,29 @@ def test_steps_end_where_it_turns_too_little(monkeypatch, degrees, stops):
     """Whatever they gain: that may be what the fit had left to gain."""
     asked = []
 
-    def stepped(rival, hopeless):
+    def stepped(rival, hopeless=None):
+        if hopeless is None:
+            return rival, 1
         asked.append(hopeless(rival))
         rival.fitted = rival.fitted.seen_through(turned(degrees, 0.4, 0.2))
         asked.append(hopeless(rival))
         return rival, 1
 
     class Fitted(SimpleNamespace):
+        effects = Effects(halo=Halo())  # no other is tried
+
         def seen_through(self, optics):
             return Fitted(optics=optics, first_optics=ALONG)
 
-    monkeypatch.setattr(
-        psf_tilt, "begun", lambda terms, fitted, factored: SimpleNamespace(fitted=fitted)
-    )
+    def begun(terms, fitted, factored):
+        rival = SimpleNamespace(fitted=fitted)
+        rival.anew = lambda: rival
+        return rival
+
+    monkeypatch.setattr(psf_tilt, "begun", begun)
     monkeypatch.setattr(psf_tilt, "stepped", stepped)
     monkeypatch.setattr(psf_tilt, "share_left", lambda rival, image: 0.5)
     monkeypatch.setattr(psf_tails, "share_left", lambda rival, image: 1 - 0.1 * len(asked))
     terms = SimpleNamespace(settings=FitSettings(), second=None, level=SimpleNamespace(grid=GRID))
-    tilt_instead(terms, Fitted(optics=ALONG, first_optics=ALONG), None)
+    tilt_instead(None, terms, Fitted(optics=ALONG, first_optics=ALONG), None)
     assert asked == [False, stops]

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from benchmarks.shapes import box
 
 from napari_deltamic.fitting.model.shape import Shape
@@ -95,6 +96,23 @@ def test_what_one_leaves_over_another_is_a_mean_over_the_voxels_of_each():
     # Twice as much on its own voxels, eight times as much on those of the other.
     assert Objective.leaves_over(at(2.0, 1.0), at(1.5, 12.0)) == pytest.approx(4.0)
     assert np.isfinite(Objective.leaves_over(at(0.0, 0.0), at(0.0, 0.0)))
+
+
+def test_an_image_evened_for_one_of_them_does_not_judge():
+    def at(structure, left, of_other):
+        posed = SimpleNamespace(
+            nats_left_by=lambda image, evened: torch.tensor([(9.0 if evened else 1.0) * image])
+        )
+        return SimpleNamespace(
+            fitted=SimpleNamespace(structure=structure),
+            now=SimpleNamespace(rendered=left),
+            posed=posed,
+            leaves_over=lambda other: of_other,
+        )
+
+    one, other = at("membrane", 3.0, 7.0), at("both", 4.0, 8.0)
+    assert Objective.leaves_of_measured(one, other) == pytest.approx(0.75)
+    assert Objective.leaves_of_measured(at("interior", 3.0, 7.0), other) == 7.0
 
 
 def fit_of_both(evened, measured, interior=1.0, leaves=0.9, membrane=1.0, vary=np.inf):

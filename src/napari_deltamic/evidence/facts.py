@@ -149,6 +149,9 @@ class Facts:
         Whether dim middles were taken for dark nuclei.
     lit
         Whether a local background was subtracted.
+    leans
+        Whether, through a tilted PSF, insides shine alone, or both do and its tails are not
+        known, and nobody said what is labelled.
     accuracy
         Relative error that the rendered images might have.
     oblong
@@ -178,6 +181,7 @@ class Facts:
     alone: bool = False
     nuclei: bool = False
     lit: bool = False
+    leans: bool = False
     accuracy: float = 0.0
     oblong: tuple[float, float] | None = None
     followed: float | None = None

@@ -93,12 +93,19 @@ def facts_of(
         alone=state.unsure and state.light.membrane > 0,
         nuclei=state.dimmed is not None,
         lit=state.local_background is not None,
+        leans=job.settings.fit.structure == "auto" and _leans(state),
         accuracy=job.settings.fit.image_accuracy,
         oblong=oblong(size),
         followed=_followed(job, state, seen),
         single=single,
         by_hand=is_by_hand(state),
     )
+
+
+def _leans(state: FitState) -> bool:
+    if state.optics.diagonal or state.light.interior <= 0:
+        return False
+    return state.effects.halo is None or not state.light.membrane
 
 
 @dataclass(frozen=True, eq=False)

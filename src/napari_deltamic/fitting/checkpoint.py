@@ -13,7 +13,7 @@ from ..common.choices import DensityModel, Structure
 from ..common.reading import json_values, one_reason
 from ..errors import InputError
 from ..runs.fit_settings import validated
-from ..scene.effects import Effects
+from ..scene.effects import Effects, Halo
 from .model.fitted import Arrays, Fitted, other_settings
 from .model.problem import Problem
 from .rivals.found_psf import FoundPSF, held_of, psf_from, values_of
@@ -176,6 +176,15 @@ def former_in(found: Arrays) -> Arrays:
     """The checkpoint within another of the fit that it is held against; empty if there is none."""
     start = len(_FORMER)
     return {name[start:]: found[name] for name in found if name.startswith(_FORMER)}
+
+
+def effects_in(found: Arrays, given: Effects) -> Effects:
+    """The effects that a fit had begun with: those given, or these and a halo that it found."""
+    try:
+        first = validated(Effects, json_values(str(found["run"]))["first_effects"])
+    except (KeyError, TypeError, ValueError, InputError):  # damaged
+        return given
+    return first if first.without(Halo.name).names == given.names else given
 
 
 def objective_in(found: Arrays) -> FoundPSF | None:

@@ -117,10 +117,15 @@ def following(job: FitInput, state: FitState) -> FitInput:
     """The job of a fit that has begun anew, with another kind of PSF or other voxels; or itself."""
     if state.counted is not None and state.counted is not job.counted:
         job = replace(job, counted=state.counted)
-    if same_kind(state.optics, job.optics):
+    scene, optics = job.settings.scene, job.optics
+    if not same_kind(state.optics, optics):
+        scene, optics = scene_with(scene, state.optics), state.optics
+    elif state.effects.names == scene.effects.names:
         return job
-    scene = scene_with(job.settings.scene, state.optics)
-    return replace(job.with_settings(scene=scene), optics=state.optics)
+    effects = scene.effects.without(*set(scene.effects.names) - set(state.effects.names))
+    new = [e for e in state.effects.present() if e.name not in effects.names]
+    scene = scene.model_copy(update={"effects": effects.adding(*new)})
+    return replace(job.with_settings(scene=scene), optics=optics)
 
 
 def assemble(

@@ -176,18 +176,23 @@ class Run:
     # ---------------------------------------------------------------- runs that follow another
 
     def again(
-        self, optics: Optics, former: Run | None = None, problem: Problem | None = None
+        self,
+        optics: Optics,
+        former: Run | None = None,
+        problem: Problem | None = None,
+        effects: Effects | None = None,
     ) -> Run:
         """A run from the same start with another PSF.
 
-        former : what it is held against. problem : what it is to explain, if that is another one.
+        former : what it is held against. problem, effects : what it is to explain, and what makes
+        the image, if these are others.
         """
         return Run(
             problem or self._context.problem,
             self._context.begun.mesh,
             optics,
             self._level.at.settings,
-            self.fitted.first_effects,
+            effects or self.fitted.first_effects,
             self.stage.begun_anew(optics),
             former,
         )

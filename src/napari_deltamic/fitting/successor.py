@@ -13,7 +13,8 @@ from typing import Protocol, Self, TypeVar
 from ..geometry.mesh import Mesh
 from ..optics import GaussianMixturePSF, GaussianPSF, Optics, ScalarPSF
 from ..optics.narrow import narrower_than_told
-from .checkpoint import Checkpoint, former_in, objective_in, problem_in
+from ..scene.effects import Effects
+from .checkpoint import Checkpoint, effects_in, former_in, objective_in, problem_in
 from .model.fitted import Arrays, Fitted
 from .model.problem import Problem
 from .objective.fit_objective import Objective, Terms
@@ -73,7 +74,11 @@ class Ending(Protocol):
     def say(self, *remarks: str) -> None: ...
     def spend(self, evaluations: int) -> None: ...
     def again(
-        self, optics: Optics, former: Self | None = None, problem: Problem | None = None
+        self,
+        optics: Optics,
+        former: Self | None = None,
+        problem: Problem | None = None,
+        effects: Effects | None = None,
     ) -> Self: ...
     def let_former_go(self) -> Self | None: ...
     def checkpoint(self) -> Checkpoint: ...
@@ -136,7 +141,7 @@ def _with_another_psf(run: Run) -> tuple[Run | None, bool]:
     given = run.terms, run.fitted, run.objective.now.rendered
     tilted, left = None, 1.0
     if not (run.stage.tried or run.stage.edited):
-        tilted, left, taken = tilt_instead(*given)
+        tilted, left, taken = tilt_instead(run.problem, *given)
         run.spend(taken)
     if run.stage.tried < _OBJECTIVE:
         optics, taken = objective_instead(*given, left**_TWICE)
@@ -183,7 +188,8 @@ def resumed(run: Run, kept: Arrays) -> Run:
         before, optics = former_in(kept), objective_in(kept)
         former = resumed(run, before) if before else None
     problem = problem_in(kept, run.problem)
-    found = run.again(optics or run.fitted.first_optics, former, problem)
+    effects = effects_in(kept, run.fitted.first_effects)
+    found = run.again(optics or run.fitted.first_optics, former, problem, effects)
     found.go_on_from(kept)
     return found
 
@@ -216,7 +222,7 @@ def _through(run: Run, optics: ThroughObjective) -> Run:
 
 def _going_on(run: Run, fitted: Fitted, all_shines: bool) -> Run:
     """The run that follows from here with another PSF; see :meth:`~.run.Run.go_on_at`."""
-    following = run.again(fitted.first_optics, _former(run))
+    following = run.again(fitted.first_optics, _former(run), effects=fitted.first_effects)
     following.go_on_at(fitted, all_shines, run.checkpoint().policy)
     return following
 
@@ -240,7 +246,7 @@ def is_given_up(run: Run, former: Run | None) -> bool:
         return True
     if _adds_local_background(run, former):
         return False  # it may still go through another PSF
-    return run.objective.leaves_over(former.posed_here()) > _BEHIND
+    return run.objective.leaves_of_measured(former.posed_here()) > _BEHIND
 
 
 def _became_narrow(run: Ending, former: Ending) -> bool:
@@ -265,4 +271,4 @@ def _explains_enough(run: Run, former: Run, kind: int) -> bool:
     before = former.posed_here()
     if kind == _SURROUNDINGS:
         return explains_more_beside(run.objective, before)
-    return run.objective.leaves_over(before) <= (_AS_MUCH if kind == _TILT else 1.0)
+    return run.objective.leaves_of_measured(before) <= (_AS_MUCH if kind == _TILT else 1.0)

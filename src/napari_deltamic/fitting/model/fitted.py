@@ -83,6 +83,10 @@ class Fitted:
         """Through another kind of PSF: what was learnt is of other unknowns."""
         return replace(self, optics=optics, first_optics=optics, learnt=None)
 
+    def with_effects(self, effects: Effects) -> Fitted:
+        """With other effects: what was learnt is of other unknowns."""
+        return replace(self, effects=effects, first_effects=effects, learnt=None)
+
     @property
     def mesh(self) -> Mesh:
         """The surface."""
