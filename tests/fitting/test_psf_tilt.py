@@ -12,7 +12,7 @@ from napari_deltamic.fitting.job import FitInput, following
 from napari_deltamic.fitting.model.imaging import Imaging
 from napari_deltamic.fitting.rivals import psf_tails, psf_tilt
 from napari_deltamic.fitting.rivals.found_psf import psf_from, values_of
-from napari_deltamic.fitting.rivals.psf_tilt import of_any_axes, tilt_instead, tilt_of
+from napari_deltamic.fitting.rivals.psf_tilt import HAS_HALO, of_any_axes, tilt_instead, tilt_of
 from napari_deltamic.geometry import sphere
 from napari_deltamic.measure.surface_distance import distance_to_surface
 from napari_deltamic.results.moved_numbers import moved_numbers
@@ -122,6 +122,15 @@ def test_its_tails_are_found_as_a_halo():
     assert state.effects.halo.fraction == pytest.approx(0.4, abs=0.1)
     assert off(state) < 0.12
     assert last(35).effects.halo is None
+
+
+def test_the_halo_around_a_tilted_one_is_found_too():
+    """As in the next frame of a series, which begins with the PSF of the one before."""
+    states = list(begun_tailed(turned(35)))
+    assert any(HAS_HALO in state.message for state in states)
+    assert states[-1].effects.halo.fraction == pytest.approx(0.4, abs=0.1)
+    plain = nd.fit(image(turned(35)), GRID, START, turned(35), settings=FitSettings())
+    assert all(state.effects.halo is None for state in plain)
 
 
 def test_settings_hold_the_halo_and_let_it_go_again():

@@ -29,7 +29,7 @@ from .rivals.light_cone import (
 )
 from .rivals.lit_surroundings import IS_LIT, explains_more_beside, local_background_instead
 from .rivals.psf_tails import HAS_TAILS, tails_instead
-from .rivals.psf_tilt import IS_TILTED, tilt_instead
+from .rivals.psf_tilt import HAS_HALO, IS_TILTED, tilt_instead
 from .stage import Stage
 from .surface.topology import TopologyPolicy
 from .voxels.ground_again import ground_again
@@ -149,7 +149,7 @@ def _with_another_psf(run: Run) -> tuple[Run | None, bool]:
         if optics is not None:
             return (None if run.stage.edited else _through(run, optics)), True
     if tilted is not None:
-        run.say(IS_TILTED)
+        run.say(IS_TILTED if tilted.effects.names == run.fitted.effects.names else HAS_HALO)
         return _going_on(run, tilted, all_shines=True), False
     if run.stage.tried < _TAILS and not run.stage.edited:
         tailed, taken = tails_instead(*given)

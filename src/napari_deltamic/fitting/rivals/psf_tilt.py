@@ -21,11 +21,15 @@ from ..model.fitted import Fitted
 from ..model.problem import Problem
 from ..objective.fit_objective import Objective, Terms
 from ..solvers.preconditioner import Preconditioners
-from .light_cone import may_change, share_left
+from .light_cone import share_left
 from .psf_tails import hopeless
 from .rival_structures import begun, stepped
 
 IS_TILTED = "the image shows a tilted PSF: the fit continues with a Gaussian PSF along other axes"
+HAS_HALO = (
+    "the image shows a tilted PSF with tails: the fit continues with a Gaussian PSF along other "
+    "axes and a halo"
+)
 
 
 @dataclass(frozen=True)
@@ -45,9 +49,10 @@ class TiltRules:
         nucleus that ended as near with it. The trial ends when it is first looked at again if half
         of this is not reached: measured there, 0.28 to 0.43 where it leaned.
     fraction, wide
-        Share of the light in a halo, and its width over that of the PSF, from where it is tried;
-        one of less than half of either is none. Chosen; measured: 0.36 to 0.42 and 1.8 to 2.1 in 14
-        light sheets.
+        Share of the light in a halo, and its width over that of the PSF, from where it is tried.
+        Chosen; measured in the end: 0.36 to 0.42 and 1.8 to 2.1 in 14 light sheets.
+    faint, narrow
+        One of less light, or narrower, is none. Chosen.
     haloed
         Of the squares that a tilted Gaussian leaves after as many steps: a halo that leaves more is
         dropped. Chosen.
@@ -57,6 +62,8 @@ class TiltRules:
     tilted: float = 0.3
     fraction: float = 0.1
     wide: float = 3.0
+    faint: float = 0.05
+    narrow: float = 1.2
     haloed: float = 0.99
 
 
@@ -70,7 +77,7 @@ def tilt_instead(
 
     With a halo if that explains clearly more: the PSF of a light sheet has tails, what the sheet
     lights of the objective's cone. Without them, light of membranes makes up for them, or goes
-    unseen.
+    unseen. Around a Gaussian that was tilted from the start, only a halo is looked for.
 
     Returns the fit with it, as far as it went, and the share of what was left that it leaves; None
     and 1 if one is held or explains about as much. Also the evaluations that this took.
@@ -83,10 +90,26 @@ def tilt_instead(
         (Z, Y, X) as it renders that, of any amplitude.
     """
     along = fitted.optics
-    if not may_change(terms, fitted) or not isinstance(along, GaussianPSF):
+    if not isinstance(along, GaussianPSF) or not terms.settings.fit_psf or terms.second is not None:
         return None, 1.0, 0
     if narrower_than_told(along.sigma_um, terms.level.grid.voxel_size):
         return None, 1.0, 0  # it stands in for light that the model lacks
+    upright = along.diagonal
+    if not upright and fitted.effects.halo is not None:
+        return None, 1.0, 0
+    # What shines is held: else light of membranes might explain more, and the tilt get the credit.
+    rival = _posed(terms, fitted.seen_through(of_any_axes(along)) if upright else fitted)
+    tilted, taken = _turned(rival, image) if upright else (rival, 0)
+    if tilted is None:
+        return None, 1.0, taken
+    found, left, more = _followed(problem, terms, tilted, image)
+    taken += more
+    new = upright or found.effects.halo is not None
+    return (found, left, taken) if new and left < RULES.left else (None, 1.0, taken)
+
+
+def _turned(rival: Objective, image: Tensor) -> tuple[Objective | None, int]:
+    """A few steps on with any axes, if these turn; evaluations taken."""
     gains_too_little, turned = hopeless(image, 1.0), list[float]()
 
     def asked(objective: Objective) -> bool:
@@ -94,36 +117,47 @@ def tilt_instead(
         turns_too_little = len(turned) > 1 and turned[-1] <= RULES.tilted / 2
         return gains_too_little(objective) or turns_too_little
 
-    # What shines is held: else light of membranes might explain more, and the tilt get the credit.
-    rival = begun(terms, fitted.seen_through(of_any_axes(along)), Preconditioners())
     rival, taken = stepped(rival, asked)
-    left = share_left(rival, image)
-    if left >= 1 or tilt_of(rival.fitted.optics) <= RULES.tilted:
-        return None, 1.0, taken
-    width = geometric_mean(rival.fitted.optics.sigma_um)
-    found, more = stepped(rival.anew())  # as far as one with a halo goes
-    left, taken = share_left(found, image), taken + more
-    if fitted.effects.halo is None:
-        halo, more = stepped(_with_halo(problem, terms, rival.fitted, width))
-        taken, with_it = taken + more, share_left(halo, image)
-        if with_it < RULES.haloed * left and _shows(halo.fitted.effects.halo, width):
-            found, left = halo, with_it
-    return (None, 1.0, taken) if left >= RULES.left else (found.fitted, left, taken)
+    turns = tilt_of(rival.fitted.optics) > RULES.tilted and share_left(rival, image) < 1
+    return (rival if turns else None), taken
 
 
-def _with_halo(problem: Problem, terms: Terms, tilted: Fitted, width: float) -> Objective:
-    """The objective with a halo around a PSF of this width, um."""
+def _followed(
+    problem: Problem, terms: Terms, tilted: Objective, image: Tensor
+) -> tuple[Fitted, float, int]:
+    """A few steps on, with a halo if that leaves clearly less; what is left; evaluations."""
+    before = tilted.fitted
+    plain, taken = stepped(tilted.anew())  # as far as one with a halo goes
+    left = share_left(plain, image)
+    if before.effects.halo is not None:
+        return plain.fitted, left, taken
+    halo, more = stepped(_with_halo(problem, terms, before))
+    with_it = share_left(halo, image)
+    if with_it < RULES.haloed * left and _has_halo(halo.fitted):
+        return halo.fitted, with_it, taken + more
+    return plain.fitted, left, taken + more
+
+
+def _with_halo(problem: Problem, terms: Terms, tilted: Fitted) -> Objective:
+    """The objective of a fit with a halo as well."""
+    width = geometric_mean(tilted.optics.sigma_um)
     effects = tilted.effects.adding(Halo(fraction=RULES.fraction, width=RULES.wide * width))
     given = tilted.optics, terms.settings, effects, 1.0, tilted.effects.spread
     level, _ = problem.levels(*given)
-    return begun(replace(terms, level=level), tilted.with_effects(effects), Preconditioners())
+    return _posed(replace(terms, level=level), tilted.with_effects(effects))
 
 
-def _shows(halo: Halo | None, width: float) -> bool:
-    """Whether there is one around a PSF of this width, um."""
+def _posed(terms: Terms, fitted: Fitted) -> Objective:
+    """The objective of a rival, where it begins."""
+    return begun(terms, fitted, Preconditioners())
+
+
+def _has_halo(fitted: Fitted) -> bool:
+    """Whether there is one, and around the PSF."""
+    halo, width = fitted.effects.halo, geometric_mean(fitted.optics.sigma_um)
     if halo is None:
         return False
-    return halo.fraction > RULES.fraction / 2 and halo.width > RULES.wide * width / 2
+    return halo.fraction > RULES.faint and halo.width > RULES.narrow * width
 
 
 def tilt_of(optics: Optics) -> float:
