@@ -210,12 +210,3 @@ def test_membranes_made_bright_where_they_stand_in_for_a_shape_are_no_evidence(p
     membranes, insides = told(*given)
     assert membranes.errors < 8
     assert insides.errors > 20 * membranes.errors
-
-
-def test_an_objective_begins_with_insides_as_bright_as_they_are_deep_down():
-    """What is uneven is corrected for: of a cell that is too bright, nothing else would tell."""
-    image = image_of(DIM)
-    state = replace(fitted(image, two(8.0), max_iterations=3), mesh=two(8.0))
-    off = replace(state, light=Light(0.0, 1.0, ((1, 1.0), (2, 0.6))), density=None)
-    one, other = 1 + posed_at(image, GRID, off, SETTINGS).at.insides
-    assert other / one == pytest.approx(0.3, rel=0.05)

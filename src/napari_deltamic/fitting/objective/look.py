@@ -13,7 +13,6 @@ from ...common.choices import Structure
 from ...common.kept import Kept
 from ...common.triple import geometric_mean
 from ...fourier.devices import for_objects
-from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import Mesh
 from ...scene import Renderer
 from ...scene.effects import Effects
@@ -29,7 +28,6 @@ from ..model.unequal_insides import Insides
 from ..model.variables import Variables
 from ..solvers.preconditioner import Preconditioner
 from ..voxels.foreign_light import foreign_light
-from .deep_insides import RULES as DEEP
 from .evening import RULES as EVENING
 from .evening import Image, unevenness
 from .prediction import View, as_floats, mixed
@@ -169,17 +167,14 @@ class Look:
         rendered: Tensor,
         found: Match,
         given: Tensor,
-    ) -> tuple[Voxels, Variables]:
+    ) -> Voxels:
         """Voxels corrected for insides that are uneven in the image but even in the model.
-
-        Also the unknowns, each inside as bright as it is deep down: that is corrected for as well,
-        and nothing but its border would tell any more.
 
         rendered : (Z, Y, X) of that light. given : (N,) weights before cut voxels were completed.
         """
         level, seen = self.level, inside_over_membrane(light, self.imaging.optics.sigma_um)
         if light.interior <= 0 or seen < EVENING.inside or not found.amplitude > 0:
-            return voxels, at
+            return voxels
         volume = float(np.prod(level.grid.voxel_size)) * level.volume_ratio
         alone = rendered if not light.membrane else self.rendered(at, replace(light, membrane=0.0))
         shown, share = found.amplitude * _single(alone), _single(alone) / light.interior
@@ -195,12 +190,8 @@ class Look:
         flat = all_flat(self.mesh, self.imaging.start)
         shown = shown if self.dimmed is None else self.dimmed * shown
         uneven = unevenness(insides, shown, share, noise, widths, counted, flat)
-        if uneven is not None and len(at.insides):
-            at, times = self._as_bright(at, insides, shown, uneven.deep)
-            shown = times * shown
-            uneven = unevenness(insides, shown, share, noise, widths, counted, flat)
         if uneven is None and self.dimmed is None:
-            return voxels, at
+            return voxels
         even = np.float32(1) if uneven is None else uneven.gain
         told = even if self.dimmed is None else self.dimmed * even
         index = voxels.index.cpu().numpy()
@@ -213,27 +204,7 @@ class Look:
             bright, left = (i.reshape(-1)[index] for i in (shown, noise))
             trusted = uneven.weights(as_floats(weights), bright, left / _single(gain))
             weights = torch.from_numpy(trusted).to(weights)
-        return replace(voxels, measured=evened, weights=weights), at
-
-    def _as_bright(
-        self, at: Variables, insides: Image, shown: Image, deep: NDArray[np.bool_]
-    ) -> tuple[Variables, Image]:
-        """Unknowns with insides as bright as measured; (Z, Y, X) times as bright as before.
-
-        insides, shown : (Z, Y, X) measured, and as modelled. deep : where they are read.
-        """
-        grid, regions = self.level.grid, self.insides.regions
-        owners = voxel_labels(self.mesh, grid.shape, grid.voxel_size, grid.origin)
-        count, measured, model = (
-            np.bincount(owners[deep], values, int(regions.max()) + 1)[regions]
-            for values in (np.ones(int(deep.sum())), insides[deep], shown[deep])
-        )
-        known = (count >= DEEP.fewest) & (measured > 0) & (model > 0)
-        times = np.where(known, measured / np.where(known, model, 1.0), 1.0)
-        factors = np.ones(int(regions.max()) + 1, np.float32)
-        factors[regions] = times
-        numbers = self.insides.bounded((1 + at.insides) * times - 1)
-        return replace(at, insides=numbers), factors[owners]
+        return replace(voxels, measured=evened, weights=weights)
 
     def _likely(self, voxels: Voxels, model: Image, given: Tensor) -> Image:
         """(Z, Y, X) measured, less what effects add; of cut voxels, the mean of what may have been.

@@ -109,8 +109,7 @@ def pose(
             free = replace(prior, insides=replace(prior.insides, held=False))
             stand = replace(stand, at=_with_insides(posterior_of([told], free), stand.at))
             whole = stand.look.completed(stand.voxels, stand.rendered())
-        stand, evened = _evened(stand, whole, fitted)
-        views = [_view(stand, evened, tempered)]
+        views = [_view(stand, _evened(stand, whole, fitted), tempered)]
         if second is not None:
             views.append(stand.look.second_view(second, stand.at, stand.light, tempered))
     look, rendered, voxels = stand.look, stand.rendered(), views[0].voxels
@@ -168,14 +167,13 @@ def _view(stand: _Stand, voxels: Voxels, tempered: bool) -> View:
     return stand.look.view(voxels, rendered, stand.look.found(voxels, rendered), tempered)
 
 
-def _evened(stand: _Stand, whole: Voxels, fitted: Fitted) -> tuple[_Stand, Voxels]:
-    """The voxels, corrected for uneven insides, and insides as bright as they are deep down."""
+def _evened(stand: _Stand, whole: Voxels, fitted: Fitted) -> Voxels:
+    """The voxels, corrected for uneven insides."""
     look, rendered = stand.look, stand.rendered()
     if look.level.factor != 1 or look.density.model == "uniform" or fitted.light.interior <= 0:
-        return stand, whole
+        return whole
     found, plain = look.found(whole, rendered), stand.voxels.weights
-    voxels, at = look.evened(whole, stand.at, stand.light, rendered, found, plain)
-    return replace(stand, at=at), voxels
+    return look.evened(whole, stand.at, stand.light, rendered, found, plain)
 
 
 def _with_insides(posterior: Posterior, at: Variables) -> Variables:
