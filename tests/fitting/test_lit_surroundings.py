@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from napari_deltamic.fitting.voxels.local_background import with_local_backgroun
 from napari_deltamic.geometry import sphere
 from napari_deltamic.runs.settings import FitSettings
 from napari_deltamic.scene.effects import Background, Effects
+from napari_deltamic.scene.light import Light
 from napari_deltamic.scene.render import offset
 
 GRID = nd.Grid((26, 36, 36), (0.2, 0.2, 0.2))
@@ -164,3 +166,16 @@ def test_a_trial_that_begins_far_off_takes_no_step(monkeypatch, times, begins):
     found = list(begun())
     assert bool(trials) == begins
     assert not any(IS_LIT in state.message for state in found)
+
+
+@pytest.mark.parametrize(("interior", "lit"), [(1.0, True), (-1.0, False)])
+def test_a_thick_bright_layer_is_no_light_around_cells(monkeypatch, interior, lit):
+    """Taken for a local background around a dark inside, one ended 2.8 voxels off."""
+
+    def stepped(rival):
+        now = SimpleNamespace(light=Light(0.0, interior))
+        return SimpleNamespace(now=now, fitted=rival.fitted, own_light=rival.own_light), 7
+
+    monkeypatch.setattr(lit_surroundings, "stepped", stepped)
+    monkeypatch.setattr(lit_surroundings, "explains_more_beside", lambda one, other: True)
+    assert any(IS_LIT in state.message for state in begun()) == lit

@@ -163,7 +163,7 @@ def _lit(fit: Facts) -> Reason | None:
 
 
 def _leans(fit: Facts) -> Reason | None:
-    """Three such stacks of bright insides with membranes ended as insides, 0.6 voxels off."""
+    """Two such stacks of insides with membranes ended as insides, 0.6 and 1.4 voxels off."""
     if not fit.leans:
         return None
     text = "through a tilted PSF, its tails and light of membranes are hardly told apart: say what"

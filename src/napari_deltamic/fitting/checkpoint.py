@@ -12,6 +12,7 @@ import torch
 from ..common.choices import DensityModel, Structure
 from ..common.reading import json_values, one_reason
 from ..errors import InputError
+from ..optics import GaussianPSF
 from ..runs.fit_settings import validated
 from ..scene.effects import Effects, Halo
 from .model.fitted import Arrays, Fitted, other_settings
@@ -179,7 +180,9 @@ def former_in(found: Arrays) -> Arrays:
 
 
 def effects_in(found: Arrays, given: Effects) -> Effects:
-    """The effects that a fit had begun with: those given, or these and a halo that it found."""
+    """The effects that a fit had begun with: those given, or these and a tilted PSF's halo."""
+    if not isinstance(objective_in(found), GaussianPSF):
+        return given
     try:
         first = validated(Effects, json_values(str(found["run"]))["first_effects"])
     except (KeyError, TypeError, ValueError, InputError):  # damaged

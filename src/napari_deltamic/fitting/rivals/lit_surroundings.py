@@ -113,6 +113,8 @@ def local_background_instead(
             return None, taken + rival.evaluations()
         rival, more = stepped(rival)
         taken += more
+        if rival.now.light.interior <= 0:  # a thick bright layer, not light around cells
+            return None, taken
         if own is not None:
             return ((without, first) if explains_more_beside(rival, before) else None), taken
         start, own = rival.fitted, rival.own_light()  # known, the second time
