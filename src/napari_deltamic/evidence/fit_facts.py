@@ -23,6 +23,7 @@ from ..geometry.border import cut_cells
 from ..geometry.mesh import Mesh
 from ..optics import GaussianPSF
 from ..optics.narrow import narrower_than_told
+from ..scene.effects import Halo
 from ..scene.render import offset
 from .compressed_brightness import compressed
 from .dents import dents
@@ -105,7 +106,7 @@ def facts_of(
 def _leans(state: FitState) -> bool:
     if state.optics.diagonal or state.light.interior <= 0:
         return False
-    return state.effects.halo is None or not state.light.membrane
+    return state.effects.role(Halo) is None or not state.light.membrane
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,7 +95,7 @@ def tilt_instead(
     if narrower_than_told(along.sigma_um, terms.level.grid.voxel_size):
         return None, 1.0, 0  # it stands in for light that the model lacks
     upright = along.diagonal
-    if not upright and fitted.effects.halo is not None:
+    if not upright and fitted.effects.role(Halo) is not None:
         return None, 1.0, 0
     # What shines is held: else light of membranes might explain more, and the tilt get the credit.
     rival = _posed(terms, fitted.seen_through(of_any_axes(along)) if upright else fitted)
@@ -104,7 +104,7 @@ def tilt_instead(
         return None, 1.0, taken
     found, left, more = _followed(problem, terms, tilted, image)
     taken += more
-    new = upright or found.effects.halo is not None
+    new = upright or found.effects.role(Halo) is not None
     return (found, left, taken) if new and left < RULES.left else (None, 1.0, taken)
 
 
@@ -129,7 +129,7 @@ def _followed(
     before = tilted.fitted
     plain, taken = stepped(tilted.anew())  # as far as one with a halo goes
     left = share_left(plain, image)
-    if before.effects.halo is not None:
+    if before.effects.role(Halo) is not None:
         return plain.fitted, left, taken
     halo, more = stepped(_with_halo(problem, terms, before))
     with_it = share_left(halo, image)
@@ -154,7 +154,7 @@ def _posed(terms: Terms, fitted: Fitted) -> Objective:
 
 def _has_halo(fitted: Fitted) -> bool:
     """Whether there is one, and around the PSF."""
-    halo, width = fitted.effects.halo, geometric_mean(fitted.optics.sigma_um)
+    halo, width = fitted.effects.role(Halo), geometric_mean(fitted.optics.sigma_um)
     if halo is None:
         return False
     return halo.fraction > RULES.faint and halo.width > RULES.narrow * width
