@@ -247,7 +247,8 @@ def resting(optics, left=1.0, edited=False, answered=False):
         fitted=SimpleNamespace(optics=optics),
         objective=objective,
         terms=SimpleNamespace(level=SimpleNamespace(grid=GRID)),
-        problem=SimpleNamespace(foreign=None, local_background=None),
+        begun=None,
+        problem=SimpleNamespace(anew=None, foreign=None, local_background=None),
         posed_here=lambda: objective,
     )
 
@@ -434,7 +435,8 @@ def test_a_confocal_fit_begins_anew_where_it_is_much_aberrated(monkeypatch, sphe
     run = SimpleNamespace(
         let_former_go=lambda: None,
         stage=SimpleNamespace(edited=False, tried=1),
-        problem=SimpleNamespace(foreign=None),
+        begun=None,
+        problem=SimpleNamespace(anew=None, foreign=None),
         terms=terms,
         fitted=fitted,
         objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),

@@ -209,7 +209,7 @@ def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
         run = SimpleNamespace(
             let_former_go=lambda: None,
             stage=SimpleNamespace(edited=False, tried=tried),
-            problem=SimpleNamespace(foreign=None),
+            problem=SimpleNamespace(anew=None, foreign=None),
             begun=None,
             terms=None,
             fitted=SimpleNamespace(),
@@ -234,7 +234,8 @@ def test_a_fit_with_tails_goes_on_where_the_steps_ended(monkeypatch):
     run = SimpleNamespace(
         let_former_go=lambda: None,
         stage=SimpleNamespace(edited=False, tried=0),
-        problem=SimpleNamespace(foreign=None),
+        begun=None,
+        problem=SimpleNamespace(anew=None, foreign=None),
         terms=None,
         fitted=Seen(ABOUT),
         objective=SimpleNamespace(now=SimpleNamespace(rendered=None)),
@@ -262,7 +263,8 @@ def test_which_voxels_count_is_asked_where_a_fit_with_tails_has_ended_too(
     run = SimpleNamespace(
         let_former_go=lambda: None if all_shines else "a Gaussian",
         stage=SimpleNamespace(edited=False, tried=0),
-        problem=SimpleNamespace(local_background=None),
+        begun=None,
+        problem=SimpleNamespace(anew=None, local_background=None),
         fitted=fitted,
         again=lambda optics, problem: went_on.append(problem) or further,
         say=went_on.append,

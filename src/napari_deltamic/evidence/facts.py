@@ -43,7 +43,7 @@ class CellFacts:
         Its deepest thin dent (:func:`~.dents.dents`); None without one.
     beyond_neck
         The middle of a thick part that its start did not have, um, Z Y X
-        (:func:`~.necks.beyond_necks`); None without one.
+        (:func:`~..fitting.voxels.necks.beyond_necks`); None without one.
     uneven
         Standard deviation of the relative brightness deep inside
         (:func:`~.uneven_insides.uneven_insides`).

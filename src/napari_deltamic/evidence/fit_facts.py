@@ -18,6 +18,7 @@ from ..fitting.model.saturation import filled_in, share_cut
 from ..fitting.model.state import FitState
 from ..fitting.objective.deep_insides import Cells, dark_insides_shown, deep_brightness
 from ..fitting.surface.growth_alarm import shrunken
+from ..fitting.voxels.necks import beyond_necks
 from ..fitting.voxels.voxel_ownership import surface_shares
 from ..geometry.border import cut_cells
 from ..geometry.mesh import Mesh
@@ -32,7 +33,6 @@ from .facts import CellFacts, Facts
 from .first_sigma import first_sigma
 from .folds import folds
 from .left_out import left_out
-from .necks import beyond_necks
 from .outgrowths import outgrowths
 from .predicted_error import PredictedError, predicted_error
 from .residual import Residual
@@ -185,7 +185,7 @@ def _shape(job: FitInput, state: FitState) -> _Tables:
         "crowded": dict.fromkeys(job.crowded, True),
         "outgrowth": outgrowths(*given),
         "dent": dents(*given),
-        "beyond_neck": beyond_necks(job.mesh, *given),
+        "beyond_neck": beyond_necks(job.mesh, *given).middles,
         "fold": folds(state),
         "unseen_wall": unseen_walls(state),
     }

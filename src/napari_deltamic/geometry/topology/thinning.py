@@ -7,20 +7,18 @@ thin region off. A neck is cut through and both ends are capped; a hole is a nec
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..connected import sharing
-from ..mesh import FloatArray, IntArray, Mesh, mesh_of_faces
+from ..mesh import IntArray, Mesh, mesh_of_faces
 from .change_sizes import SIZES
+from .patches import Mask, Outward, cap, loops_around
 from .submesh import Change, Submesh
 from .thin_places import ThinPlace
-
-Mask = NDArray[np.bool_]
 
 
 def thinned(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
@@ -49,7 +47,7 @@ def thinned(part: Submesh, place: ThinPlace, edge: float) -> Iterator[Change]:
 
 def _sheet_opened(mesh: Mesh, place: ThinPlace, near: Mask) -> Iterator[Change]:
     (thin,) = place.regions
-    around = _Outward(mesh, thin)
+    around = Outward(mesh, thin)
     for heir, other in permutations(place.sides):
         own = around.own & np.any(mesh.regions == heir, axis=1)
         facing = around.own & np.any(mesh.regions == other, axis=1)
@@ -59,7 +57,7 @@ def _sheet_opened(mesh: Mesh, place: ThinPlace, near: Mask) -> Iterator[Change]:
         wider = _patch(mesh, near & around.own & ~own, place, facing)
         wider = _grown_over_junctions(mesh, wider, around.own & ~own)
         for kept in (inner, wider):
-            loops = [_loops(around.faces, patch) for patch in (gone, kept)]
+            loops = [loops_around(around.faces, patch) for patch in (gone, kept)]
             if any(len(found) != 1 for found in loops) or set(loops[0][0]) & set(loops[1][0]):
                 continue
             strip = _ring(mesh, ~gone, loops[0][0], loops[1][0][::-1])
@@ -101,49 +99,16 @@ def _grown_over_junctions(mesh: Mesh, patch: Mask, allowed: Mask) -> Mask:
 
 def _necks_cut(mesh: Mesh, place: ThinPlace, near: Mask) -> Iterator[Change]:
     (thin,), (side,) = place.regions, place.sides
-    around = _Outward(mesh, thin)
+    around = Outward(mesh, thin)
     band = _patch(mesh, near & around.own & (mesh.regions == side).any(1), place)
-    loops = _loops(around.faces, band)
+    loops = loops_around(around.faces, band)
     if len(loops) != 2 or set(loops[0]) & set(loops[1]):
         return
-    caps = np.concatenate([_cap(mesh.vertices_numpy(), loop) for loop in loops])
+    caps = np.concatenate([cap(mesh.vertices_numpy(), loop) for loop in loops])
     yield _replaced(mesh, ~band, mesh.regions, caps, (thin, side))
 
 
-def _cap(places: FloatArray, loop: Sequence[int]) -> IntArray:
-    """Fill a closed line with triangles; the squared lengths of diagonals have the least sum.
-
-    G. T. Klincsek, "Minimal triangulations of polygonal domains", Ann. Discrete Math. 9, 1980.
-    """
-    n, points = len(loop), places[list(loop)]
-    square = ((points[:, None] - points[None]) ** 2).sum(2)
-    cost, between = np.zeros((n, n)), np.zeros((n, n), np.int64)
-    for width in range(2, n):
-        for i in range(n - width):
-            j = i + width
-            total = cost[i, i + 1 : j] + cost[i + 1 : j, j]
-            best = int(total.argmin())
-            cost[i, j], between[i, j] = total[best] + square[i, j], i + 1 + best
-    faces, waiting = [], [(0, n - 1)]
-    while waiting:
-        i, j = waiting.pop()
-        if j - i > 1:
-            k = int(between[i, j])
-            faces.append([loop[i], loop[k], loop[j]])
-            waiting += [(i, k), (k, j)]
-    return np.array(faces, np.int64).reshape(-1, 3)
-
-
 # --------------------------------------------------------------------------- patches and lines
-
-
-class _Outward:
-    """A region's faces (own), and all faces turned so that the region lies behind its own."""
-
-    def __init__(self, mesh: Mesh, region: int) -> None:
-        self.own: Mask = (mesh.regions == region).any(1)
-        turned = mesh.regions[:, 1] == region
-        self.faces: IntArray = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
 
 
 def _patch(mesh: Mesh, mask: Mask, place: ThinPlace, seeds: Mask | None = None) -> Mask:
@@ -161,27 +126,6 @@ def _patch(mesh: Mesh, mask: Mask, place: ThinPlace, seeds: Mask | None = None) 
     number = sharing(mesh.face_edges()[rows], len(mesh.edges()))
     patch[rows[number == number[np.searchsorted(rows, first)]]] = True
     return patch
-
-
-def _loops(faces: IntArray, patch: Mask) -> list[list[int]]:
-    """Return the closed lines around a patch of faces, as these run; none if one touches itself."""
-    ends = faces[patch][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()
-    directed = {(u, w) for u, w in ends}
-    border = [(u, w) for u, w in directed if (w, u) not in directed]
-    after = dict(sorted(border))
-    if len(after) != len(border):
-        return []
-    loops = []
-    while after:
-        first = next(iter(after))
-        loop, at = [first], after.pop(first)
-        while at != first:
-            if at not in after:
-                return []
-            loop.append(at)
-            at = after.pop(at)
-        loops.append(loop)
-    return loops
 
 
 def _ring(mesh: Mesh, rest: Mask, one: list[int], other: list[int]) -> IntArray | None:

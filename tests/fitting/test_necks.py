@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import GaussianPSF, Grid
-from napari_deltamic.evidence.necks import beyond_necks
+from napari_deltamic.fitting.voxels.necks import beyond_necks
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.labels.meshes import mesh_from_labels
 
@@ -24,29 +24,31 @@ START = sphere((5.0, 4.0, 4.0), 1.8, subdivisions=4)
 
 
 def test_a_ball_behind_a_thin_neck_is_told():
-    found = beyond_necks(START, cell(1.3), GRID, OPTICS)
+    found = beyond_necks(START, cell(1.3), GRID, OPTICS).middles
     assert list(found) == [1]
     assert found[1] == pytest.approx((5.0, 4.0, 7.6), abs=0.4)
 
 
 def test_a_larger_neighbour_that_a_small_cell_has_swallowed_is_told():
     small = sphere((5.0, 4.0, 7.6), 0.9, subdivisions=4)
-    assert beyond_necks(small, cell(1.3), GRID, OPTICS)[1] == pytest.approx((5, 4, 4), abs=0.4)
+    assert beyond_necks(small, cell(1.3), GRID, OPTICS).middles[1] == pytest.approx(
+        (5, 4, 4), abs=0.4
+    )
 
 
 def test_a_neck_need_not_be_thin():
     """About 0.6 times as thick as the thinner ball; less of one is no neck."""
-    assert list(beyond_necks(START, cell(3.0), GRID, OPTICS)) == [1]
-    assert beyond_necks(START, cell(3.6), GRID, OPTICS) == {}
+    assert list(beyond_necks(START, cell(3.0), GRID, OPTICS).middles) == [1]
+    assert beyond_necks(START, cell(3.6), GRID, OPTICS).middles == {}
 
 
 def test_a_thick_way_is_no_neck():
-    assert beyond_necks(START, cell(5.0), GRID, OPTICS) == {}
+    assert beyond_necks(START, cell(5.0), GRID, OPTICS).middles == {}
 
 
 def test_what_the_start_had_is_meant():
-    assert beyond_necks(cell(1.3), cell(1.3), GRID, OPTICS) == {}
+    assert beyond_necks(cell(1.3), cell(1.3), GRID, OPTICS).middles == {}
 
 
 def test_a_part_that_the_image_hardly_shows_is_none():
-    assert beyond_necks(START, cell(1.3), GRID, GaussianPSF(0.9)) == {}
+    assert beyond_necks(START, cell(1.3), GRID, GaussianPSF(0.9)).middles == {}

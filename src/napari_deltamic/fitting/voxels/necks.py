@@ -1,7 +1,7 @@
 """Parts of a cell beyond a neck that its start did not have: neighbours that it may have swallowed.
 
-A thin outgrowth is too thin for the image to show (:mod:`.outgrowths`); these parts are thick again
-further out.
+A thin outgrowth is too thin for the image to show (:mod:`...evidence.outgrowths`); these parts are
+thick again further out.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum, maximum_position
 
-from ..fitting.voxels.bright_regions import parted
-from ..geometry.labels.label_repair import label_boxes
-from ..geometry.labels.voxels import voxel_labels
-from ..geometry.mesh import Mesh
-from ..optics import Optics
-from ..scene import Grid
+from ...common.triple import triple
+from ...geometry.labels.label_repair import label_boxes
+from ...geometry.labels.voxels import voxel_labels
+from ...geometry.mesh import Mesh
+from ...optics import Optics
+from ...scene import Grid
+from .bright_regions import Labels, parted
 
 
 @dataclass(frozen=True)
@@ -43,33 +44,51 @@ class NeckRules:
 RULES = NeckRules()
 
 
-def beyond_necks(
-    start: Mesh, mesh: Mesh, grid: Grid, optics: Optics
-) -> dict[int, tuple[float, float, float]]:
-    """The middle of the thickest part beyond a neck of each cell, um, Z Y X; only cells with one.
+@dataclass(frozen=True, eq=False)
+class BeyondNecks:
+    """Parts of cells beyond necks.
+
+    Attributes
+    ----------
+    cells
+        (Z, Y, X) regions of the mesh.
+    parts
+        (Z, Y, X) the same, only in such parts.
+    middles
+        Of the thickest part of each cell that has one, um, Z Y X.
+    """
+
+    cells: Labels
+    parts: Labels
+    middles: dict[int, tuple[float, float, float]]
+
+
+def beyond_necks(start: Mesh, mesh: Mesh, grid: Grid, optics: Optics) -> BeyondNecks:
+    """The parts of cells beyond necks.
 
     start : where the fit began; a part whose middle lay in it does not count.
     """
     given = grid.shape, grid.voxel_size, grid.origin
     labels, before = voxel_labels(mesh, *given), voxel_labels(start, *given)
     size, first = np.asarray(grid.voxel_size), np.asarray(grid.origin)
-    found: dict[int, tuple[float, float, float]] = {}
+    found = BeyondNecks(labels, np.zeros_like(labels), {})
     for region, box in label_boxes(labels):
-        own = np.pad(labels[box] == region, 1)
+        own, held = (np.pad(some[box] == region, 1) for some in (labels, before))
         depth = distance_transform_edt(own, sampling=size / np.asarray(optics.sigma_um))
-        new = np.where(np.pad(before[box] == region, 1), 0, depth)
+        new = np.where(held, 0, depth)
         if new.max() <= RULES.thick:
             continue
         parts = parted(depth, RULES.narrow)
         numbers = np.arange(1, parts.max() + 1)
         thick = np.asarray(maximum(depth, parts, numbers))
         beyond = (np.asarray(maximum(new, parts, numbers)) == thick) & (thick > RULES.thick)
-        held = np.bincount(parts.ravel(), np.pad(before[box] == region, 1).ravel())[1:]
-        beyond[held.argmax() if held.any() else thick.argmax()] = False  # the cell itself
+        inside = np.bincount(parts.ravel(), held.ravel())[1:]
+        beyond[inside.argmax() if inside.any() else thick.argmax()] = False  # the cell itself
         if beyond.any():
             thickest = int(np.where(beyond, thick, 0).argmax())
             at = maximum_position(new, parts, numbers[thickest])
             corner = np.array([side.start for side in box]) - 1
-            z, y, x = ((np.asarray(at) + corner) * size + first).tolist()
-            found[region] = (z, y, x)
+            found.middles[region] = triple((np.asarray(at) + corner) * size + first)
+            lost = np.append(False, beyond)[parts][1:-1, 1:-1, 1:-1]
+            found.parts[box][lost] = region
     return found

@@ -1,0 +1,64 @@
+"""Lets neighbours go that a cell has swallowed through a neck.
+
+Where the ground of a start reached into an object without a seed, the surface may grow a neck and
+take the object in. The neck tells, once the fit has ended: what lies beyond is cut off, and its
+light counts as that of another object.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from ...geometry.labels.label_repair import label_boxes
+from ...geometry.mesh import FloatArray, Mesh
+from ...geometry.remeshing import can_remesh, remesh
+from ...geometry.topology.patches import Mask, cut_off
+from ...scene import Grid
+from ..model.fitted import Fitted
+from ..model.problem import Problem
+from .ground_again import RULES, with_ground
+from .necks import BeyondNecks, beyond_necks
+from .voxel_ownership import surface_voxels
+
+
+def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Problem, Mesh] | None:
+    """The problem and the mesh without what lies beyond necks that the start did not have.
+
+    None where there is nothing of that kind, or it borders on another cell.
+    """
+    if problem.anew is None or problem.anew >= RULES.times:
+        return None
+    mesh, grid = fitted.mesh, problem.grid
+    beyond = beyond_necks(begun, mesh, grid, fitted.optics)
+    cut = mesh
+    for region in beyond.middles:
+        smaller = cut_off(cut, region, _faces_beyond(cut, region, beyond, grid))
+        if smaller is None:
+            return None
+        cut = smaller
+    if cut is mesh:
+        return None
+    if can_remesh():
+        cut = remesh(cut, mesh.median_edge()).mesh
+    size = np.asarray(grid.voxel_size) / np.asarray(fitted.optics.sigma_um)
+    own = distance_transform_edt(~surface_voxels(cut, grid), sampling=size)
+    other = distance_transform_edt(beyond.parts == 0, sampling=size)
+    inside = (beyond.cells > 0) & (beyond.parts == 0)
+    counted = problem.counted & ((own < other) | inside)
+    return with_ground(problem, counted, problem.anew + 1), cut
+
+
+def _faces_beyond(mesh: Mesh, region: int, beyond: BeyondNecks, grid: Grid) -> Mask:
+    """(F,) bool: the faces of a cell that are nearest to its part beyond a neck."""
+    box = dict(label_boxes(beyond.cells))[region]
+    own = np.pad(beyond.cells[box] == region, 1)
+    lost = np.pad(beyond.parts[box] == region, 1)
+    size, first = np.asarray(grid.voxel_size), np.asarray(grid.origin)
+    at = distance_transform_edt(~own, sampling=size, return_distances=False, return_indices=True)
+    middles: FloatArray = mesh.vertices_numpy()[mesh.faces].mean(1)
+    corner = np.array([side.start for side in box]) - 1
+    index = np.rint((middles - first) / size).astype(np.int64) - corner
+    index = np.clip(index, 0, np.array(own.shape) - 1)
+    found: Mask = lost[tuple(at[:, index[:, 0], index[:, 1], index[:, 2]])]
+    return found & (mesh.regions == region).any(1)
