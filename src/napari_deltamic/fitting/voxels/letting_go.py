@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 
 from ...geometry.labels.label_repair import label_boxes
 from ...geometry.mesh import FloatArray, Mesh
-from ...geometry.remeshing import can_remesh, remesh
+from ...geometry.topology.crossings import crosses
 from ...geometry.topology.patches import Mask, cut_off
 from ...scene import Grid
 from ..model.fitted import Fitted
@@ -25,22 +25,22 @@ from .voxel_ownership import surface_voxels
 def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Problem, Mesh] | None:
     """The problem and the mesh without what lies beyond necks that the start did not have.
 
-    None where there is nothing of that kind, or it borders on another cell.
+    None where there is nothing of that kind that can be cut off: what borders on another cell
+    stays, as does what leaves surfaces that cross.
     """
     if problem.anew is None or problem.anew >= RULES.times:
         return None
     mesh, grid = fitted.mesh, problem.grid
     beyond = beyond_necks(begun, mesh, grid, fitted.optics)
-    cut = mesh
+    sound, cut = not crosses(mesh), mesh
     for region in beyond.middles:
         smaller = cut_off(cut, region, _faces_beyond(cut, region, beyond, grid))
-        if smaller is None:
-            return None
-        cut = smaller
+        if smaller is None or (sound and crosses(smaller)):
+            beyond.parts[beyond.parts == region] = 0
+        else:
+            cut = smaller
     if cut is mesh:
         return None
-    if can_remesh():
-        cut = remesh(cut, mesh.median_edge()).mesh
     size = np.asarray(grid.voxel_size) / np.asarray(fitted.optics.sigma_um)
     own = distance_transform_edt(~surface_voxels(cut, grid), sampling=size)
     other = distance_transform_edt(beyond.parts == 0, sampling=size)
