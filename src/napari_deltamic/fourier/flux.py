@@ -14,8 +14,7 @@ import torch
 from torch import Tensor
 
 from .particle_mesh import field_of, gather, spread
-from .points import Points
-from .spreading import Spreading
+from .spreading import Elements, Spreading
 
 
 def within(half: Sequence[int], of: Sequence[int]) -> tuple[slice, slice, slice]:
@@ -53,13 +52,10 @@ def _weights(
 
 def flux_ft(
     vertices: Tensor,
-    faces: Tensor,
+    faces: Elements,
     areas: Tensor,
     contrast: Tensor,
-    points: Points,
-    spreading: Spreading,
     low: tuple[int, int, int],
-    single: bool,
 ) -> Tensor:
     """Return ``(i / |xi|^2) xi . sum over faces of contrast areas exp(-i xi.x)``, 0 in the low box.
 
@@ -70,51 +66,43 @@ def flux_ft(
     Parameters
     ----------
     vertices, faces
-        (V, 3) um, (F, 3) int64.
+        (V, 3) um, the faces and how they are spread.
     areas, contrast
         (F, 3) area vectors, um^2; (F,) see :func:`napari_deltamic.fourier.solid.contrasts`.
-    points, spreading
-        Rules of the faces; grid and kernels.
     low
         Half the low box.
-    single
-        complex64 rather than complex128.
     """
-    return _Flux.apply(vertices, contrast, faces, areas, points, spreading, low, single)
+    return _Flux.apply(vertices, contrast, faces, areas, low)
 
 
 class _Flux(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, vertices: Tensor, contrast: Tensor, *rest: Any) -> Tensor:
-        faces, areas, points, spreading, low, single = rest
+        faces, areas, low = ctx.rest = rest
         ctx.save_for_backward(vertices, contrast)
-        ctx.rest = rest
         # Dipoles along the area vectors give the divergence of the flux: i xi . its transform.
-        grid = spread(
-            vertices, faces, contrast, points, spreading, single, vertices.device, vectors=areas
-        )
-        return spreading.fft.to_box(grid, _weights_of(spreading, low, grid))
+        grid = spread(vertices, faces, contrast, vertices.device, vectors=areas)
+        return faces.spreading.fft.to_box(grid, _weights_of(faces.spreading, low, grid))
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         vertices, contrast = ctx.saved_tensors
-        faces, areas, points, spreading, low, single = ctx.rest
+        faces, areas, low = ctx.rest
         by_vertex = by_contrast = None
 
         if ctx.needs_input_grad[0]:
-            field = field_of(grad, spreading, single)
-            found = gather(vertices, faces, points, spreading, single, field)
+            found = gather(vertices, faces, field_of(grad, faces.spreading, faces.single))
             swept = found.to(torch.float64) * (contrast[:, None] * areas)[:, None]
             by_vertex = torch.zeros_like(vertices, dtype=torch.float64)
-            by_vertex.index_add_(0, faces.reshape(-1), swept.reshape(-1, 3))
+            by_vertex.index_add_(0, faces.corners.reshape(-1), swept.reshape(-1, 3))
             by_vertex = by_vertex.to(vertices.dtype)
         if ctx.needs_input_grad[1]:
-            weights = _weights_of(spreading, low, grad.real)
-            field = field_of(grad, spreading, single, weights)
-            slopes = gather(vertices, faces, points, spreading, single, field, slopes=True)
+            weights = _weights_of(faces.spreading, low, grad.real)
+            field = field_of(grad, faces.spreading, faces.single, weights)
+            slopes = gather(vertices, faces, field, slopes=True)
             by_contrast = -(slopes[..., 1:].sum(1) * areas).sum(1).to(contrast.dtype)
-        return by_vertex, by_contrast, None, None, None, None, None, None
+        return by_vertex, by_contrast, None, None, None
 
 
 def _weights_of(spreading: Spreading, low: tuple[int, int, int], for_: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ from .cuda.device import point_kernels
 from .native import native, simd_level, threads
 from .points import Points
 from .real_fft import compiled
-from .spreading import Spreading
+from .spreading import Elements, Spreading
 
 
 def elements_ft(
@@ -64,33 +64,24 @@ def elements_ft(
         there. Elsewhere vertices that are not finite give NaN, and elements are not looked at.
     """
     there = vertices.device if device is None else device
-    return _Transform.apply(vertices, density, elements, points, spreading, single, there)
+    return _Transform.apply(vertices, density, Elements(elements, points, spreading, single), there)
 
 
 class _Transform(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, vertices: Tensor, density: Tensor, *rest: Any) -> Tensor:
-        elements, points, spreading, single, device = rest
+    def forward(
+        ctx: Any, vertices: Tensor, density: Tensor, elements: Elements, device: torch.device
+    ) -> Tensor:
         ctx.save_for_backward(vertices, density)
-        ctx.rest = rest
-        grid = spread(vertices, elements, density, points, spreading, single, device)
-        return spreading.fft.to_box(grid)
+        ctx.elements = elements
+        return elements.spreading.fft.to_box(spread(vertices, elements, density, device))
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         vertices, density = ctx.saved_tensors
-        elements, points, spreading, single, _ = ctx.rest
-        found = pull(
-            vertices,
-            elements,
-            density,
-            points,
-            spreading,
-            single,
-            field_of(grad, spreading, single),
-        )
-        return *found, None, None, None, None, None
+        e = ctx.elements
+        return *pull(vertices, e, density, field_of(grad, e.spreading, e.single)), None, None
 
 
 # --------------------------------------------------------------------- compiled loops, or torch's
@@ -98,11 +89,8 @@ class _Transform(torch.autograd.Function):
 
 def spread(
     vertices: Tensor,
-    elements: Tensor,
+    elements: Elements,
     density: Tensor,
-    points: Points,
-    spreading: Spreading,
-    single: bool,
     device: torch.device,
     vectors: Tensor | None = None,
 ) -> Tensor:
@@ -113,80 +101,44 @@ def spread(
     kernel's gradient (per um) along the vector, without the measure.
     """
     if not compiled(device):
-        given = vertices, elements, density, points, spreading
-        if (kernels := _kernels(device, single)) is not None:
-            return on_gpu.spread(kernels, *given, device, vectors)
-        return torch_mesh.spread(*given, single, device, vectors)
-    z, y, x = spreading.shape
-    real = torch.float32 if single else torch.float64
-    grid = torch.empty(z, y, x + spreading.lanes, dtype=real)
-    _function("spread", single)(
-        *_arrays(vertices, elements, density),
-        *_grid(points, spreading),
-        None if vectors is None else _double(vectors),
-        grid.numpy(),
-        threads(),
-        simd_level(),
-    )
+        if (kernels := _kernels(device, elements.single)) is not None:
+            return on_gpu.spread(kernels, vertices, elements, density, device, vectors)
+        return torch_mesh.spread(vertices, elements, density, device, vectors)
+    z, y, x = elements.spreading.shape
+    grid = torch.empty(z, y, x + elements.spreading.lanes, dtype=elements.real)
+    along = None if vectors is None else _double(vectors)
+    _run("spread", vertices, elements, density, along, grid.numpy())
     return grid
 
 
-def gather(
-    vertices: Tensor,
-    elements: Tensor,
-    points: Points,
-    spreading: Spreading,
-    single: bool,
-    field: Tensor,
-    slopes: bool = False,
-) -> Tensor:
+def gather(vertices: Tensor, elements: Elements, field: Tensor, slopes: bool = False) -> Tensor:
     """Return sums over each element's points, (E, corners, 1), or (E, corners, 4) with slopes.
 
     Terms are weight times barycentric coordinate times a field (:func:`field_of`), or its
     derivatives per um.
     """
     if not compiled(field.device):
-        if (kernels := _kernels(field.device, single)) is not None:
-            return on_gpu.gather(kernels, vertices, elements, points, spreading, field, slopes)
-        return torch_mesh.gather(vertices, elements, points, spreading, single, field, slopes)
-    sums = torch.zeros(*elements.shape, 4 if slopes else 1, dtype=torch.float64)
-    _function("gather", single)(
-        *_arrays(vertices, elements, torch.ones(len(elements), dtype=torch.float64)),
-        *_grid(points, spreading),
-        field.numpy(),
-        sums.numpy(),
-        threads(),
-        simd_level(),
-    )
+        if (kernels := _kernels(field.device, elements.single)) is not None:
+            return on_gpu.gather(kernels, vertices, elements, field, slopes)
+        return torch_mesh.gather(vertices, elements, field, slopes)
+    sums = torch.zeros(*elements.corners.shape, 4 if slopes else 1, dtype=torch.float64)
+    ones = torch.ones(len(elements.corners), dtype=torch.float64)
+    _run("gather", vertices, elements, ones, field.numpy(), sums.numpy())
     return sums
 
 
 def pull(
-    vertices: Tensor,
-    elements: Tensor,
-    density: Tensor,
-    points: Points,
-    spreading: Spreading,
-    single: bool,
-    field: Tensor,
+    vertices: Tensor, elements: Elements, density: Tensor, field: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return gradients in vertices (V, 3) and densities (E,), from a field (:func:`field_of`)."""
     if not compiled(field.device):
-        given = vertices, elements, density, points, spreading
-        if (kernels := _kernels(field.device, single)) is not None:
-            return on_gpu.pull(kernels, *given, field)
-        return torch_mesh.pull(*given, single, field)
+        if (kernels := _kernels(field.device, elements.single)) is not None:
+            return on_gpu.pull(kernels, vertices, elements, density, field)
+        return torch_mesh.pull(vertices, elements, density, field)
     by_vertex = torch.zeros(len(vertices), 3, dtype=torch.float64)
-    by_density = torch.empty(len(elements), dtype=torch.float64)
-    _function("pull", single)(
-        *_arrays(vertices, elements, density),
-        *_grid(points, spreading),
-        field.numpy(),
-        by_vertex.numpy(),
-        by_density.numpy(),
-        threads(),
-        simd_level(),
-    )
+    by_density = torch.empty(len(elements.corners), dtype=torch.float64)
+    out = by_vertex.numpy(), by_density.numpy()
+    _run("pull", vertices, elements, density, field.numpy(), *out)
     return by_vertex.to(vertices.dtype), by_density.to(density.dtype)
 
 
@@ -207,17 +159,21 @@ def _kernels(device: torch.device, single: bool) -> Kernels[PointBuild] | None:
     return point_kernels(device, single) if device.type == "cuda" else None
 
 
-def _function(name: str, single: bool) -> Any:
-    return getattr(native(), f"{name}_{'f32' if single else 'f64'}")
-
-
-def _arrays(vertices: Tensor, elements: Tensor, density: Tensor) -> tuple[np.ndarray, ...]:
-    return _double(vertices), elements.contiguous().numpy(), _double(density)
-
-
-def _grid(points: Points, spreading: Spreading) -> tuple[Any, ...]:
-    kernels = [k.coefficients for k in spreading.kernels]
-    return points.compiled, list(spreading.shape), list(spreading.scale), kernels
+def _run(name: str, vertices: Tensor, elements: Elements, density: Tensor, *arrays: Any) -> None:
+    """Run a compiled loop over the points."""
+    spreading = elements.spreading
+    getattr(native(), f"{name}_{'f32' if elements.single else 'f64'}")(
+        _double(vertices),
+        elements.corners.contiguous().numpy(),
+        _double(density),
+        elements.points.compiled,
+        list(spreading.shape),
+        list(spreading.scale),
+        [k.coefficients for k in spreading.kernels],
+        *arrays,
+        threads(),
+        simd_level(),
+    )
 
 
 def _double(t: Tensor) -> np.ndarray:

@@ -30,6 +30,7 @@ from .closed_form import band_ft, mesh_ft, row_wavevectors
 from .flux import flux_ft, inverse_square, within
 from .plan import Plan
 from .solid_plan import EXACT, SolidPlan, area_vectors, centre_of, nodes
+from .spreading import Elements
 from .triangle import triangle_transform
 
 
@@ -106,7 +107,8 @@ def solid_transform(
     points, near_points = plan.points_of(contrast)
     corners = x.detach()[faces]
     areas = area_vectors(corners)
-    far = flux_ft(x, faces, areas, contrast, points, spreading, plan.low.half, single)
+    spread = Elements(faces, points, spreading, single)
+    far = flux_ft(x, spread, areas, contrast, plan.low.half)
     near = plan.low_shells(near_points, centre_of(x), corners, areas, contrast)
     return far.to(near.dtype) + _embedded(near, plan.low.half, plan.plan.band.half)
 

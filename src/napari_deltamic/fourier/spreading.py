@@ -17,7 +17,7 @@ from torch import Tensor
 from ..common.kept import kept
 from .falloff import POINT_LIKE, Falloff
 from .kernel import WIDEST, AxisWeights, Kernel, beta_for, kernel_for, packed, unpacked
-from .points import placed
+from .points import Points, placed
 from .real_fft import RealFFT
 
 # From components of wavevectors (rad/um) that broadcast over a box to |OTF| there.
@@ -100,6 +100,33 @@ class Spreading:
     def joined_coefficients(self, real: torch.dtype, device: torch.device) -> Tensor:
         """Return the coefficients of the three axes, one after the other."""
         return torch.cat([c.reshape(-1) for c in self.coefficients(real, device)])
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """Triangles, segments or points, and how they are spread on a grid.
+
+    Attributes
+    ----------
+    corners
+        (E, 3) triangles, (E, 2) segments or (E, 1) points: vertices of each.
+    points
+        Rules of the elements.
+    spreading
+        Grid and kernels.
+    single
+        Whether the grid is in single precision.
+    """
+
+    corners: Tensor
+    points: Points
+    spreading: Spreading
+    single: bool
+
+    @property
+    def real(self) -> torch.dtype:
+        """Type of the grid."""
+        return torch.float32 if self.single else torch.float64
 
 
 def gaussian(width: Sequence[float]) -> Transfer:

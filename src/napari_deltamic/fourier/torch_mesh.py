@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .points import Points
-from .spreading import Spreading
+from .spreading import Elements
 from .triangle import cross
 
 _NODES_AT_ONCE = 1 << 22  # of all points spread or gathered at a time: bounds the memory
@@ -21,25 +20,21 @@ _NODES_AT_ONCE = 1 << 22  # of all points spread or gathered at a time: bounds t
 
 def spread(
     vertices: Tensor,
-    elements: Tensor,
+    elements: Elements,
     density: Tensor,
-    points: Points,
-    spreading: Spreading,
-    single: bool,
     device: torch.device,
     vectors: Tensor | None = None,
 ) -> Tensor:
     """Spread as :func:`napari_deltamic.fourier.particle_mesh.spread` does."""
-    real = _real(single)
+    real, spreading = elements.real, elements.spreading
     if vectors is None:
-        strengths = (density * measure(vertices[elements])[0])[:, None].to(real).to(device)
+        strengths = (density * measure(vertices[elements.corners])[0])[:, None].to(real).to(device)
     else:
         strengths = (density[:, None] * vectors).to(real).to(device)
     z, y, x = spreading.shape
     grid = strengths.new_zeros(z * y * x)
     scale = spreading.scale_on(real, device)
-    pieces = _pieces(vertices, elements, points, spreading, single, device, vectors is not None)
-    for some in pieces:
+    for some in _pieces(vertices, elements, device, vectors is not None):
         own = (strengths[some.of][:, None] * some.weights[:, None]).flatten(0, 1)
         if vectors is None:
             values = _outer(own[:, 0, None] * some.values[0], *some.values[1:])
@@ -57,24 +52,16 @@ def _outer(z: Tensor, y: Tensor, x: Tensor) -> Tensor:
     return (z[:, :, None] * y[:, None, :])[..., None] * x[:, None, None, :]
 
 
-def gather(
-    vertices: Tensor,
-    elements: Tensor,
-    points: Points,
-    spreading: Spreading,
-    single: bool,
-    field: Tensor,
-    slopes: bool = False,
-) -> Tensor:
+def gather(vertices: Tensor, elements: Elements, field: Tensor, slopes: bool = False) -> Tensor:
     """Return sums over each element's points, (E, corners, 1), or (E, corners, 4) with slopes.
 
     Terms are weight times barycentric coordinate times the field, or its derivatives per um.
     """
-    parts = 4 if slopes else 1
-    sums = field.new_zeros(*elements.shape, parts)
+    parts, spreading = 4 if slopes else 1, elements.spreading
+    sums = field.new_zeros(*elements.corners.shape, parts)
     flat = field.reshape(-1)
     scale = spreading.scale_on(field.dtype, field.device)
-    for some in _pieces(vertices, elements, points, spreading, single, field.device, slopes):
+    for some in _pieces(vertices, elements, field.device, slopes):
         node = flat[some.nodes(spreading.shape)]
         kz, ky, kx = some.values
         by_x = torch.einsum("pzyx,px->pzy", node, kx)
@@ -97,22 +84,17 @@ def gather(
 
 
 def pull(
-    vertices: Tensor,
-    elements: Tensor,
-    density: Tensor,
-    points: Points,
-    spreading: Spreading,
-    single: bool,
-    field: Tensor,
+    vertices: Tensor, elements: Elements, density: Tensor, field: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return gradients (V, 3) and (E,) of :func:`spread`'s result, from the field on its grid."""
-    sums = gather(vertices, elements, points, spreading, single, field, slopes=True)
+    sums = gather(vertices, elements, field, slopes=True)
     sums = sums.to(vertices.device).to(vertices.dtype)
-    size, by_corner = measure(vertices[elements])
+    corners = elements.corners
+    size, by_corner = measure(vertices[corners])
     all_ = sums[..., 0].sum(1)
     each = size[:, None, None] * sums[..., 1:] + all_[:, None, None] * by_corner
     each = density[:, None, None].to(each.dtype) * each
-    by_vertex = torch.zeros_like(vertices).index_add_(0, elements.reshape(-1), each.reshape(-1, 3))
+    by_vertex = torch.zeros_like(vertices).index_add_(0, corners.reshape(-1), each.reshape(-1, 3))
     return by_vertex, (size * all_).to(density.dtype)
 
 
@@ -158,17 +140,11 @@ class _Piece:
 
 
 def _pieces(
-    vertices: Tensor,
-    elements: Tensor,
-    points: Points,
-    spreading: Spreading,
-    single: bool,
-    device: torch.device,
-    slopes: bool = False,
+    vertices: Tensor, elements: Elements, device: torch.device, slopes: bool
 ) -> Iterator[_Piece]:
-    real = _real(single)
+    real, spreading = elements.real, elements.spreading
     scale = spreading.scale_on(vertices.dtype, vertices.device)
-    corners = (vertices.detach() * scale)[elements]
+    corners = (vertices.detach() * scale)[elements.corners]
     node = torch.round(corners[:, :1])
     local = (corners - node).to(real).to(device)
     node = node[:, 0].to(torch.int64).to(device)
@@ -176,7 +152,7 @@ def _pieces(
     each = 1
     for k in spreading.kernels:
         each *= k.width
-    for barycentric, weights, of in points.groups(real, device):
+    for barycentric, weights, of in elements.points.groups(real, device):
         step = max(1, _NODES_AT_ONCE // (each * len(weights)))
         for some in of.split(step):
             at = torch.einsum("pc,eck->epk", barycentric, local[some])
@@ -201,7 +177,3 @@ def _evaluated(coefficients: Tensor, f: Tensor, slopes: bool) -> tuple[Tensor, T
             slope = slope * t + value
         value = value * t + c
     return value, -2 * slope  # t falls by 2 when a point moves on by one node
-
-
-def _real(single: bool) -> torch.dtype:
-    return torch.float32 if single else torch.float64

@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..points import Listed, Points
-from ..spreading import Spreading
+from ..points import Listed
+from ..spreading import Elements
 from .build import Kernels, PointBuild, pointer
 
 
@@ -34,24 +34,23 @@ class _Rules(ctypes.Structure):
     )
 
 
-class _Elements:
+class _Arrays:
     """Arrays in the types that the kernels take, with points on a grid."""
 
     def __init__(
         self,
         kernels: Kernels[PointBuild],
         vertices: Tensor,
-        elements: Tensor,
-        points: Points,
-        spreading: Spreading,
+        elements: Elements,
         device: torch.device,
     ) -> None:
+        spreading = elements.spreading
         self.kernels, self.device = kernels, device
         self.real = kernels.build.kind
         self.vertices = _double(vertices, device)
-        self.elements = elements.to(device, torch.int64).contiguous()
-        self.listed: Listed = points.listed(device)
-        self.count, self.corners = elements.shape
+        self.elements = elements.corners.to(device, torch.int64).contiguous()
+        self.listed: Listed = elements.points.listed(device)
+        self.count, self.corners = elements.corners.shape
         coefficients = spreading.coefficients(self.real, device)
         sizes = [c.numel() for c in coefficients]
         first = (0, sizes[0], sizes[0] + sizes[1])
@@ -153,48 +152,42 @@ class _Elements:
 def spread(
     kernels: Kernels[PointBuild],
     vertices: Tensor,
-    elements: Tensor,
+    elements: Elements,
     density: Tensor,
-    points: Points,
-    spreading: Spreading,
     device: torch.device,
     vectors: Tensor | None = None,
 ) -> Tensor:
     """Spread as :func:`napari_deltamic.fourier.particle_mesh.spread` does."""
-    e = _Elements(kernels, vertices, elements, points, spreading, device)
+    e = _Arrays(kernels, vertices, elements, device)
     along = None if vectors is None else _double(vectors, device)
     located = e.located(_double(density, device), along)
-    grid = torch.zeros(spreading.shape, dtype=e.real, device=device)
+    grid = torch.zeros(elements.spreading.shape, dtype=e.real, device=device)
     name = "spread" if vectors is None else "spread_dipoles"
-    e.on_grid(name, spreading.kernels[0].width, located, grid)
+    e.on_grid(name, elements.spreading.kernels[0].width, located, grid)
     return grid
 
 
 def gather(
     kernels: Kernels[PointBuild],
     vertices: Tensor,
-    elements: Tensor,
-    points: Points,
-    spreading: Spreading,
+    elements: Elements,
     field: Tensor,
     slopes: bool,
 ) -> Tensor:
     """Gather as :func:`napari_deltamic.fourier.particle_mesh.gather` does."""
-    e = _Elements(kernels, vertices, elements, points, spreading, field.device)
+    e = _Arrays(kernels, vertices, elements, field.device)
     return e.summed(field, slopes)
 
 
 def pull(
     kernels: Kernels[PointBuild],
     vertices: Tensor,
-    elements: Tensor,
+    elements: Elements,
     density: Tensor,
-    points: Points,
-    spreading: Spreading,
     field: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Pull as :func:`napari_deltamic.fourier.particle_mesh.pull` does."""
-    e = _Elements(kernels, vertices, elements, points, spreading, field.device)
+    e = _Arrays(kernels, vertices, elements, field.device)
     by_corner, by_density = e.pulled(_double(density, field.device), e.summed(field, True))
     by_vertex = torch.zeros(len(vertices), 3, dtype=torch.float64, device=field.device)
     by_vertex.index_add_(0, e.elements.reshape(-1), by_corner.reshape(-1, 3))
