@@ -17,7 +17,7 @@ from ..common.cache_folder import cache_folder
 from ..common.writing import write_if_possible
 from ..errors import InputError
 from ..fourier.cost import BUILT_IN, Costs, Rates, Work, built_in
-from ..fourier.native import native, simd_level, threads
+from ..fourier.native import simd_level, threads
 from .calibration import calibrate
 
 _FORMAT = 2  # of the file; raised when what is measured changes
@@ -66,7 +66,7 @@ def _whose() -> dict[str, Any]:
     from ..common.version import __version__  # only here, as it takes longer than the rest
 
     try:
-        level = simd_level() if native() is not None else "none"
+        level = simd_level()
     except InputError:
         level = "unknown"
     return {

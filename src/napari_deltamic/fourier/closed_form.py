@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from .native import native, simd_level, threads
+from .native import complex_type, double, native, run
 from .triangle import cross, triangle_transform
 
 _PAIRS_AT_ONCE = 1 << 20  # of a face and a wavevector, on torch's path: bounds its memory
@@ -92,26 +92,20 @@ def as_mesh_tensors(
 def _mesh_ft(
     vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool
 ) -> Tensor:
-    out = torch.zeros(len(wavevectors), dtype=torch.complex64 if single else torch.complex128)
+    out = torch.zeros(len(wavevectors), dtype=complex_type(single))
     module = native()
     if module is None:
         for part in _chunks(wavevectors, len(faces)):
             out[part] = _torch_forward(vertices, faces, density, wavevectors[part], single)
         return out
-    function = module.list_forward_f32 if single else module.list_forward_f64
-    function(
-        *_arrays(vertices, faces, density), _double(wavevectors), _out(out), threads(), simd_level()
-    )
+    mesh = _arrays(vertices, faces, density)
+    run(module, "list_forward", single, *mesh, double(wavevectors), _out(out))
     return out
 
 
-@_mesh_ft.register_fake
-def _(
-    vertices: Tensor, faces: Tensor, density: Tensor, wavevectors: Tensor, single: bool
-) -> Tensor:
-    return wavevectors.new_empty(
-        len(wavevectors), dtype=torch.complex64 if single else torch.complex128
-    )
+_mesh_ft.register_fake(
+    lambda v, f, rho, xi, single: xi.new_empty(len(xi), dtype=complex_type(single))
+)
 
 
 @torch.library.custom_op("deltamic::mesh_ft_backward", mutates_args=(), device_types="cpu")
@@ -123,24 +117,16 @@ def _mesh_ft_backward(
     wavevectors: Tensor,
     single: bool,
 ) -> tuple[Tensor, Tensor]:
-    gv = torch.zeros(len(vertices), 3, dtype=torch.float64)
-    gd = torch.zeros(len(faces), dtype=torch.float64)
+    gv, gd = _no_gradients(vertices, faces)
     module = native()
     if module is None:
         for part in _chunks(wavevectors, len(faces)):
             v, d = _torch_backward(grad[part], vertices, faces, density, wavevectors[part], single)
             gv, gd = gv + v, gd + d
     else:
-        function = module.list_backward_f32 if single else module.list_backward_f64
-        function(
-            *_arrays(vertices, faces, density),
-            _double(wavevectors),
-            _incoming(grad, single),
-            gv.numpy(),
-            gd.numpy(),
-            threads(),
-            simd_level(),
-        )
+        mesh = _arrays(vertices, faces, density)
+        arrays = double(wavevectors), _incoming(grad, single), gv.numpy(), gd.numpy()
+        run(module, "list_backward", single, *mesh, *arrays)
     return gv.to(vertices.dtype), gd.to(density.dtype)
 
 
@@ -161,34 +147,19 @@ def band_ft(
     ``rows`` is (R, 3) int32 of kz, ky and length; row r holds the wavevectors
     ``(kz, ky, kx) * spacing``, kx = 0 ... length-1. Returns the rows one after the other.
     """
-    count = int(rows[:, 2].sum())
-    out = torch.zeros(count, dtype=torch.complex64 if single else torch.complex128)
     module = native()
     if module is None:
         return _mesh_ft(vertices, faces, density, row_wavevectors(rows, spacing), single)
-    function = module.band_forward_f32 if single else module.band_forward_f64
-    function(
-        *_arrays(vertices, faces, density),
-        *_rows(rows),
-        list(spacing),
-        _out(out),
-        threads(),
-        simd_level(),
-    )
+    out = torch.zeros(int(rows[:, 2].sum()), dtype=complex_type(single))
+    mesh = _arrays(vertices, faces, density)
+    run(module, "band_forward", single, *mesh, *_rows(rows), list(spacing), _out(out))
     return out
 
 
 @band_ft.register_fake
-def _(
-    vertices: Tensor,
-    faces: Tensor,
-    density: Tensor,
-    rows: Tensor,
-    spacing: Sequence[float],
-    single: bool,
-) -> Tensor:
+def _(vertices: Tensor, *rest: Any) -> Tensor:
     count = torch.library.get_ctx().new_dynamic_size()
-    return vertices.new_empty(count, dtype=torch.complex64 if single else torch.complex128)
+    return vertices.new_empty(count, dtype=complex_type(rest[-1]))
 
 
 @torch.library.custom_op("deltamic::band_ft_backward", mutates_args=(), device_types="cpu")
@@ -205,19 +176,10 @@ def _band_ft_backward(
     if module is None:
         xi = row_wavevectors(rows, spacing)
         return _mesh_ft_backward(grad, vertices, faces, density, xi, single)
-    gv = torch.zeros(len(vertices), 3, dtype=torch.float64)
-    gd = torch.zeros(len(faces), dtype=torch.float64)
-    function = module.band_backward_f32 if single else module.band_backward_f64
-    function(
-        *_arrays(vertices, faces, density),
-        *_rows(rows),
-        list(spacing),
-        _incoming(grad, single),
-        gv.numpy(),
-        gd.numpy(),
-        threads(),
-        simd_level(),
-    )
+    gv, gd = _no_gradients(vertices, faces)
+    mesh = _arrays(vertices, faces, density)
+    arrays = _incoming(grad, single), gv.numpy(), gd.numpy()
+    run(module, "band_backward", single, *mesh, *_rows(rows), list(spacing), *arrays)
     return gv.to(vertices.dtype), gd.to(density.dtype)
 
 
@@ -251,14 +213,10 @@ _differentiable(band_ft, _band_ft_backward)
 # ------------------------------------------------------------------------------ to and from numpy
 
 
-def _double(t: Tensor) -> np.ndarray:
-    return t.detach().to(torch.float64).contiguous().numpy()
-
-
 def _arrays(
     vertices: Tensor, faces: Tensor, density: Tensor
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return _double(vertices), faces.contiguous().numpy(), _double(density)
+    return double(vertices), faces.contiguous().numpy(), double(density)
 
 
 def _out(t: Tensor) -> np.ndarray:
@@ -266,8 +224,13 @@ def _out(t: Tensor) -> np.ndarray:
 
 
 def _incoming(grad: Tensor, single: bool) -> np.ndarray:
-    kind = torch.complex64 if single else torch.complex128
-    return _out(grad.to(kind).resolve_conj().contiguous())
+    return _out(grad.to(complex_type(single)).resolve_conj().contiguous())
+
+
+def _no_gradients(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
+    """Return zeros (V, 3) and (F,), to which gradients are added."""
+    zeros = torch.zeros(len(vertices), 3, dtype=torch.float64)
+    return zeros, torch.zeros(len(faces), dtype=torch.float64)
 
 
 def _rows(rows: Tensor) -> tuple[np.ndarray, np.ndarray]:
@@ -315,9 +278,7 @@ def _torch_forward(
 ) -> Tensor:
     _, normal, e, s, _ = _torch_parts(vertices, faces, wavevectors, single)
     weight = torch.linalg.vector_norm(normal, dim=1) * density
-    return (weight.to(torch.complex128) @ (e * s)).to(
-        torch.complex64 if single else torch.complex128
-    )
+    return (weight.to(torch.complex128) @ (e * s)).to(complex_type(single))
 
 
 def _torch_backward(
@@ -338,7 +299,5 @@ def _torch_backward(
     corner = density.to(torch.float64)[:, None, None] * (
         doubled[:, None, None] * phase - value[:, None, None] * w
     )
-    gv = torch.zeros(len(vertices), 3, dtype=torch.float64).index_add_(
-        0, faces.reshape(-1), corner.reshape(-1, 3)
-    )
-    return gv, doubled * value
+    gv, _ = _no_gradients(vertices, faces)
+    return gv.index_add_(0, faces.reshape(-1), corner.reshape(-1, 3)), doubled * value

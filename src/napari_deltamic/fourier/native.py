@@ -6,8 +6,11 @@ import os
 import warnings
 from functools import cache
 from types import ModuleType
+from typing import Any
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from ..errors import InputError, SlowPathWarning
 
@@ -51,3 +54,19 @@ def simd_level() -> str:
 def threads() -> int:
     """Return the number of worker threads, which is torch's."""
     return torch.get_num_threads()
+
+
+def run(module: Any, name: str, single: bool, *given: Any) -> None:
+    """Run a loop of the extension in single or in double precision."""
+    loop = getattr(module, f"{name}_{'f32' if single else 'f64'}")
+    loop(*given, threads(), simd_level())
+
+
+def double(t: Tensor) -> np.ndarray:
+    """Return a tensor as the loops take it."""
+    return t.detach().to(torch.float64).contiguous().numpy()
+
+
+def complex_type(single: bool) -> torch.dtype:
+    """Return complex64 or complex128."""
+    return torch.complex64 if single else torch.complex128

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -19,7 +18,7 @@ from . import torch_mesh
 from .cuda import point_transform as on_gpu
 from .cuda.build import Kernels, PointBuild
 from .cuda.device import point_kernels
-from .native import native, simd_level, threads
+from .native import complex_type, double, native, run
 from .points import Points
 from .real_fft import compiled
 from .spreading import Elements, Spreading
@@ -106,7 +105,7 @@ def spread(
         return torch_mesh.spread(vertices, elements, density, device, vectors)
     z, y, x = elements.spreading.shape
     grid = torch.empty(z, y, x + elements.spreading.lanes, dtype=elements.real)
-    along = None if vectors is None else _double(vectors)
+    along = None if vectors is None else double(vectors)
     _run("spread", vertices, elements, density, along, grid.numpy())
     return grid
 
@@ -149,7 +148,7 @@ def field_of(
 
     weights : real numbers by which the box is multiplied first.
     """
-    box = box.detach().to(torch.complex64 if single else torch.complex128)
+    box = box.detach().to(complex_type(single))
     row = spreading.shape[2] + (spreading.lanes if compiled(box.device) else 0)
     return spreading.fft.to_real(box, weights, row)
 
@@ -162,19 +161,16 @@ def _kernels(device: torch.device, single: bool) -> Kernels[PointBuild] | None:
 def _run(name: str, vertices: Tensor, elements: Elements, density: Tensor, *arrays: Any) -> None:
     """Run a compiled loop over the points."""
     spreading = elements.spreading
-    getattr(native(), f"{name}_{'f32' if elements.single else 'f64'}")(
-        _double(vertices),
+    run(
+        native(),
+        name,
+        elements.single,
+        double(vertices),
         elements.corners.contiguous().numpy(),
-        _double(density),
+        double(density),
         elements.points.compiled,
         list(spreading.shape),
         list(spreading.scale),
         [k.coefficients for k in spreading.kernels],
         *arrays,
-        threads(),
-        simd_level(),
     )
-
-
-def _double(t: Tensor) -> np.ndarray:
-    return t.detach().to(torch.float64).contiguous().numpy()

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ..common.kept import kept
-from .native import native, simd_level, threads
+from .native import complex_type, native, run
 from .points import placed
 
 Triple = tuple[int, int, int]
@@ -67,7 +67,7 @@ class RealFFT:
         if not compiled(real.device):
             box = self._torch_box(real[..., : self.count[2]])
             return box if weights is None else box * weights
-        kind = torch.complex64 if real.dtype == torch.float32 else torch.complex128
+        kind = complex_type(real.dtype == torch.float32)
         box = torch.empty(self.box_shape, dtype=kind)
         self._run("to_box", box, real.contiguous(), weights)
         return box
@@ -96,8 +96,10 @@ class RealFFT:
     def _run(self, name: str, box: Tensor, array: Tensor, weights: Tensor | None) -> None:
         real = array.dtype
         z, _, _ = self._placed(name, real, box.device)
-        function = getattr(native(), f"{name}_{'f32' if real == torch.float32 else 'f64'}")
-        function(
+        run(
+            native(),
+            name,
+            real == torch.float32,
             torch.view_as_real(box).numpy(),
             array.numpy(),
             self.shape,
@@ -106,8 +108,6 @@ class RealFFT:
             z.numpy(),
             self._outer(name, real),
             None if weights is None else weights.to(real).contiguous().numpy(),
-            threads(),
-            simd_level(),
         )
 
     # ----------------------------------------------------------------------------- by torch
