@@ -20,15 +20,15 @@ def crumpled(mesh, size=0.03):
     return mesh.vertices_numpy() + size * noise
 
 
-def in_numpy(monkeypatch):
+def in_torch(monkeypatch):
     monkeypatch.setattr(module, "native", lambda: None)
 
 
-@pytest.fixture(params=["compiled", "NumPy"])
+@pytest.fixture(params=["compiled", "torch"])
 def either(request, monkeypatch):
     """Both ways to compute it."""
-    if request.param == "NumPy":
-        in_numpy(monkeypatch)
+    if request.param == "torch":
+        in_torch(monkeypatch)
     elif native() is None:
         pytest.skip("the compiled extension is missing")
 
@@ -81,12 +81,12 @@ def test_gradient_against_differences(either, size):
 
 @compiled
 @pytest.mark.parametrize("size", [0.0, 0.05, 0.5])
-def test_the_compiled_loops_are_those_in_numpy(size, monkeypatch):
+def test_the_compiled_loops_are_those_in_torch(size, monkeypatch):
     centers = np.array([(0, 0, -0.5), (0, 0, 0.5), (0, 0.8, 0)])
     mesh = foam(centers, np.full(3, 0.7), 0.2)
     energy, at = BendingEnergy(mesh), crumpled(mesh, size * 0.2)
     one = energy(at)
-    in_numpy(monkeypatch)
+    in_torch(monkeypatch)
     other = energy(at)
     assert one[0] > 1
     assert_allclose(one[0], other[0], rtol=1e-12)

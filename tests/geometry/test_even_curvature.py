@@ -64,7 +64,7 @@ def test_gradients_against_differences(mesh):
 
 
 @pytest.mark.skipif(native() is None, reason="the compiled extension is missing")
-def test_the_compiled_loops_are_those_in_numpy(monkeypatch):
+def test_the_compiled_loops_are_those_in_torch(monkeypatch):
     energy, at = BendingEnergy(THREE, WIDTH), crumpled(THREE)
     one = energy(at)
     monkeypatch.setattr(module, "native", lambda: None)

@@ -82,70 +82,49 @@ class BendingEnergy:
         """The energy and its gradient (V, 3) 1/um, at vertices (V, 3) um."""
         library = native()
         if library is None:
-            return self._in_numpy(vertices)
+            return self._in_torch(vertices)
         given = np.ascontiguousarray(vertices, dtype=np.float64)
         energy, gradient = library.bending(
             given, self._faces, self._smooth, self._wall, self._side, self._walls, self._own
         )
         return energy, gradient
 
-    def _in_numpy(self, vertices: FloatArray) -> tuple[float, FloatArray]:
+    def _in_torch(self, vertices: FloatArray) -> tuple[float, FloatArray]:
         """Compute the same as the compiled loops (``csrc/bending.h``)."""
-        corners = vertices[self._faces]
+        import torch  # only where it is needed, as it takes a second
+
+        x = torch.tensor(vertices, dtype=torch.float64, requires_grad=True)
+        faces, smooth, side = map(torch.from_numpy, (self._faces, self._smooth, self._side))
+        corners = x[faces]
         # Edge vectors opposite each corner; the angle at corner p lies between the two others.
-        edges = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)
-        normal = np.cross(edges[:, 0], edges[:, 1])
-        doubled = np.linalg.norm(normal, axis=1)
-        if not doubled.sum() > _POINT:
+        edges = corners.roll(1, 1) - corners.roll(-1, 1)
+        normal = torch.linalg.cross(edges[:, 0], edges[:, 1])
+        doubled = torch.linalg.vector_norm(normal, dim=1)
+        if not doubled.sum().item() > _POINT:
             return 0.0, np.zeros_like(vertices)
-        doubled = np.maximum(doubled, _NO_AREA * float(doubled.mean()))
-        dots = -np.einsum("fpi,fpi->fp", np.roll(edges, -1, axis=1), np.roll(edges, 1, axis=1))
-        raw = dots / doubled[:, None]
-        cotangents = np.clip(raw, _LEAST, _LARGEST)
+        doubled = doubled.clamp(min=_NO_AREA * doubled.mean().item())
+        dots = -(edges.roll(-1, 1) * edges.roll(1, 1)).sum(2)
+        half = 0.5 * (dots / doubled[:, None]).clamp(_LEAST, _LARGEST)[..., None] * edges
 
-        area = self._at_vertices(np.repeat(doubled / 6, 3).reshape(-1, 3))
-        area = np.where(area > 0, area, 1.0)
-        half = 0.5 * cotangents[:, :, None] * edges  # of the edge from corner p + 1 to p + 2
+        def at_vertices(of_corners: torch.Tensor) -> torch.Tensor:
+            whole = of_corners.new_zeros(self._count, of_corners.shape[2])
+            return whole.index_add(0, faces.reshape(-1), of_corners.flatten(0, 1))
+
+        area = at_vertices((doubled / 6)[:, None, None].expand(-1, 3, 1))[:, 0]
+        area = torch.where(area > 0, area, 1.0)
         # K of a corner: the edges that end there, each towards the corner.
-        own = np.roll(half, -1, axis=1) - np.roll(half, 1, axis=1)
-        bend = np.stack([self._at_vertices(own[:, :, i]) for i in range(3)], 1)
-        weight = self._smooth / area
-        energy = 0.5 * float((weight * (bend**2).sum(1)).sum())
-
-        pull = weight[:, None] * bend
-        density = 0.5 * weight / area * (bend**2).sum(1)
+        bend = at_vertices(half.roll(-1, 1) - half.roll(1, 1))
+        weight = smooth / area
+        energy = 0.5 * (weight * (bend**2).sum(1)).sum()
         # A third of the area vectors around each vertex, and the mean curvature of its wall.
-        vectors = (self._side / 6)[:, None] * normal
-        vectors = np.stack(
-            [self._at_vertices(np.repeat(v, 3).reshape(-1, 3)) for v in vectors.T], 1
-        )
-        along = (bend * vectors).sum(1)
-        within = self._wall >= 0
-        of = self._wall[within]
-        whole = np.bincount(of, (weight * along)[within], self._walls)
-        held = self._own + np.bincount(of, (self._smooth * area)[within], self._walls)
-        mean = whole / np.maximum(held, _POINT)
-        energy -= 0.5 * float((whole * mean).sum())
-        curved = np.zeros(self._count)
-        curved[within] = mean[of]
-        pull -= (weight * curved)[:, None] * vectors
-        density -= self._smooth * (curved * along / area**2 + 0.5 * curved**2)
-        by_vector = -(weight * curved)[:, None] * bend
-        at = pull[self._faces]
-        # Towards the second end of each edge minus the first, as ``edges`` themselves.
-        difference = np.roll(at, 1, axis=1) - np.roll(at, -1, axis=1)
-        gradient = 0.5 * cotangents[:, :, None] * difference
-        gradient = np.roll(gradient, -1, axis=1) - np.roll(gradient, 1, axis=1)
-        free = (raw > _LEAST) & (raw < _LARGEST)
-        by_cotangent = 0.5 * free * np.einsum("fpi,fpi->fp", difference, edges)
-        gradient += _through_cotangents(by_cotangent, doubled, edges)
-        by_area = -density[self._faces].sum(1) / 6 - (by_cotangent * dots).sum(1) / doubled**2
-        # d |N| by a corner is the edge opposite it, turned about the normal.
-        turned = np.cross((normal / doubled[:, None])[:, None], edges)
-        gradient += by_area[:, None, None] * turned
-        by_normal = (self._side / 6)[:, None] * by_vector[self._faces].sum(1)
-        gradient += np.cross(by_normal[:, None], edges)
-        return energy, np.stack([self._at_vertices(gradient[:, :, i]) for i in range(3)], 1)
+        vectors = at_vertices(((side / 6)[:, None] * normal)[:, None].expand(-1, 3, 3))
+        within = torch.from_numpy(self._wall >= 0)
+        of, none = torch.from_numpy(self._wall)[within], x.new_zeros(self._walls)
+        whole = none.index_add(0, of, (weight * (bend * vectors).sum(1))[within])
+        held = self._own + none.index_add(0, of, (smooth * area)[within])
+        energy = energy - 0.5 * (whole**2 / held.clamp(min=_POINT)).sum()
+        (gradient,) = torch.autograd.grad(energy, x)
+        return energy.item(), gradient.numpy()
 
     def curvature(self, vertices: FloatArray, directions: FloatArray) -> sp.csr_matrix:
         """Return (V, V) Gauss-Newton second derivatives, 1/um^2, for one displacement a vertex.
@@ -183,16 +162,3 @@ class BendingEnergy:
     def _at_vertices(self, of_corners: FloatArray) -> FloatArray:
         summed = np.bincount(self._faces.ravel(), of_corners.ravel(), self._count)
         return np.asarray(summed, dtype=np.float64)
-
-
-def _through_cotangents(
-    by_cotangent: FloatArray, doubled: FloatArray, edges: FloatArray
-) -> FloatArray:
-    """Return (F, 3, 3) the gradient through the cotangents' dot products, areas held fixed."""
-    by_dot = by_cotangent / doubled[:, None]
-    # The dot product at corner p is minus that of the edges p + 1 and p + 2.
-    to_edges = -(
-        np.roll(by_dot, 1, axis=1)[:, :, None] * np.roll(edges, -1, axis=1)
-        + np.roll(by_dot, -1, axis=1)[:, :, None] * np.roll(edges, 1, axis=1)
-    )
-    return np.roll(to_edges, -1, axis=1) - np.roll(to_edges, 1, axis=1)
