@@ -164,11 +164,7 @@ def describe(
             "faces": len(state.mesh.faces),
             "regions": len(state.mesh.region_ids()),
         },
-        "grid": {
-            "shape": list(grid.shape),
-            "voxel_size_um": list(grid.voxel_size),
-            "origin_um": list(grid.origin),
-        },
+        "grid": grid.as_plain(),
         "settings": settings.model_dump(mode="json"),
         "levels": history.levels(),
         "first_iteration": history.first,

@@ -98,11 +98,7 @@ def facts(simulation: Simulation) -> dict[str, Any]:
     return {
         "version": __version__,
         **simulation.parameters,
-        "grid": {
-            "shape": list(grid.shape),
-            "voxel_size_um": list(grid.voxel_size),
-            "origin_um": list(grid.origin),
-        },
+        "grid": grid.as_plain(),
         "structures": [type(s).__name__.lower() for s in scene.structures],
         "interiors": [s.densities().tolist() for s in scene.structures if isinstance(s, Solid)],
         "optics": {

@@ -175,11 +175,7 @@ def _facts(
             {"cell": c.cell, "parent": c.parent, "first": c.first, "last": c.last, "end": c.end}
             for c in lineage(results)
         ],
-        "grid": {
-            "shape": list(grid.shape),
-            "voxel_size_um": list(grid.voxel_size),
-            "origin_um": list(grid.origin),
-        },
+        "grid": grid.as_plain(),
         "settings": settings.model_dump(mode="json"),
         "versions": {name: version_of(name) for name in PACKAGES},
     }

@@ -63,6 +63,14 @@ class Grid:
         first = np.asarray(self.origin)
         return first, first + (np.asarray(self.shape) - 1) * np.asarray(self.voxel_size)
 
+    def as_plain(self) -> dict[str, list[float]]:
+        """Return the grid as plain values, for JSON."""
+        return {
+            "shape": list(self.shape),
+            "voxel_size_um": list(self.voxel_size),
+            "origin_um": list(self.origin),
+        }
+
     def strided(self, step: tuple[int, int, int]) -> Grid:
         """Return the grid of every ``step``-th voxel, from the first on."""
         return Grid(
