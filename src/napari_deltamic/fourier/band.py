@@ -128,6 +128,13 @@ class Band:
     def _row_index_on(self, device: torch.device) -> Tensor:
         return self.row_index.to(device)
 
+    def widened(self, box: Tensor, to: Band) -> Tensor:
+        """Zero-pad the box to that of a wider band."""
+        if self.half == to.half:
+            return box
+        z, y, x = (n - k for n, k in zip(to.half, self.half, strict=True))
+        return torch.nn.functional.pad(box, (0, x, y, y, z, z))
+
     def to_image(
         self,
         box: Tensor,

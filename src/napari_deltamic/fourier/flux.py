@@ -23,16 +23,11 @@ def within(half: Sequence[int], of: Sequence[int]) -> tuple[slice, slice, slice]
     return slice(nz - kz, nz + kz + 1), slice(ny - ky, ny + ky + 1), slice(0, kx + 1)
 
 
-def box_axes(half: Sequence[int], spacing: Sequence[float]) -> list[np.ndarray]:
-    """Return the wavevector components of a box, rad/um, shaped to broadcast over it."""
-    first = (-half[0], -half[1], 0)
-    axes = [np.arange(a, k + 1) * s for a, k, s in zip(first, half, spacing, strict=True)]
-    return list(np.ix_(*axes))
-
-
 def inverse_square(half: Sequence[int], spacing: Sequence[float]) -> np.ndarray:
     """Return 1 / |xi|^2 on a box, 0 at zero."""
-    squared = sum(a**2 for a in box_axes(half, spacing))
+    first = (-half[0], -half[1], 0)
+    axes = [np.arange(a, k + 1) * s for a, k, s in zip(first, half, spacing, strict=True)]
+    squared = sum(a**2 for a in np.ix_(*axes))
     return np.divide(1.0, squared, out=np.zeros(np.shape(squared)), where=squared > 0)
 
 

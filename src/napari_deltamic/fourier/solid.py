@@ -19,8 +19,6 @@ Several regions are one sum: ``contrast`` is the signal per um^3 behind a face m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -110,7 +108,7 @@ def solid_transform(
     spread = Elements(faces, points, spreading, single)
     far = flux_ft(x, spread, areas, contrast, plan.low.half)
     near = plan.low_shells(near_points, centre_of(x), corners, areas, contrast)
-    return far.to(near.dtype) + _embedded(near, plan.low.half, plan.plan.band.half)
+    return far.to(near.dtype) + plan.low.widened(near, plan.plan.band)
 
 
 # ------------------------------------------------------------------------------------ geometry
@@ -138,12 +136,6 @@ def _shells(
         empty = _empty_flux(arms, faces, contrast, t * wavevectors, arms)
         total = total + weight / t**2 * part + weight * empty[:, 0]
     return total * torch.exp(-1j * (wavevectors @ centre))
-
-
-def _embedded(box: Tensor, half: Sequence[int], into: Sequence[int]) -> Tensor:
-    """Zero-pad a box of wavevectors to a larger one."""
-    z, y, x = (n - k for n, k in zip(into, half, strict=True))
-    return torch.nn.functional.pad(box, (0, x, y, y, z, z))
 
 
 # ------------------------------------------------------------------------------------- the flux

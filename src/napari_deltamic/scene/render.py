@@ -188,7 +188,7 @@ class Renderer:
         """
         planned = self._planned[number]
         box = self._held(planned.transform(self.effects, positions, density))
-        return _widened(box, planned.plan.band, self.band)
+        return planned.plan.band.widened(box, self.band)
 
     def _held(self, box: Tensor) -> Tensor:
         """Move the box to the device of the image, in a type that the device supports."""
@@ -343,11 +343,3 @@ def _cells(solid: Solid, light: Light | None) -> Tensor | None:
     if light is None or not light.cells:
         return None
     return torch.from_numpy(light.of_cells(solid.mesh.region_ids()))
-
-
-def _widened(box: Tensor, band: Band, to: Band) -> Tensor:
-    """Zero-pad the box of a band to that of a wider one."""
-    if band.half == to.half:
-        return box
-    z, y, x = (n - k for n, k in zip(to.half, band.half, strict=True))
-    return torch.nn.functional.pad(box, (0, x, y, y, z, z))
