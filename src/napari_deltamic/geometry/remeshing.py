@@ -12,13 +12,16 @@ from scipy.spatial import cKDTree
 from ..errors import InputError
 from .compiled import native
 from .mesh import FloatArray, IntArray, Mesh
-from .topology.crossings import crosses, crossings
+from .topology.crossings import crosses, crossing_corners
 
 _TOUCH = 1e-6  # of the wanted length: surfaces as near to each other touch
 # In longest edges, around crossings: where operations are checked, and where faces lie with which
 # they might collide. Less than two edges around a vertex change with it.
 _GUARDED, _SEEN = 3.0, 5.0
 _PASSES = 3  # bring any mesh of about the right edge length into shape
+
+# Mesh, edge lengths, passes, what vertices carry, which are held, and whether they move.
+_Wanted = tuple[Mesh, FloatArray, int, FloatArray, np.ndarray, bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,22 +116,15 @@ def remesh(
         longest = float(mesh.edge_lengths().max())
         passes = _PASSES + max(0, ceil(log2(longest / float(length.min()))))
     wanted = mesh, length, passes, loads, held, smooth
-    done = _remeshed(*wanted, np.zeros(n, np.uint8), 0.0)
-    return _kept_apart(done, *wanted) if apart else done
+    done = _remeshed(wanted, np.zeros(n, np.uint8), 0.0)
+    return _kept_apart(done, wanted) if apart else done
 
 
-def _kept_apart(
-    done: Remeshed,
-    mesh: Mesh,
-    length: FloatArray,
-    passes: int,
-    loads: FloatArray,
-    held: np.ndarray,
-    smooth: bool,
-) -> Remeshed:
+def _kept_apart(done: Remeshed, wanted: _Wanted) -> Remeshed:
     """Remesh once more if surfaces have come to cross, and check each operation near there."""
+    mesh, length, _, loads, held, _ = wanted
     near = _TOUCH * float(length.min())
-    trouble = _crossing_corners(done.mesh, near)
+    trouble = crossing_corners(done.mesh, near)
     if not len(trouble) or crosses(mesh):
         return done
     vertices = mesh.vertices_numpy()
@@ -138,8 +134,8 @@ def _kept_apart(
         guard = np.where(away < _GUARDED, 2, np.where(away < _SEEN, 1, 0)).astype(np.uint8)
         if last:
             guard[:] = 2
-        done = _remeshed(mesh, length, passes, loads, held, smooth, guard, near)
-        found = _crossing_corners(done.mesh, 0.0)
+        done = _remeshed(wanted, guard, near)
+        found = crossing_corners(done.mesh, 0.0)
         if not len(found):
             return done
         trouble = np.concatenate([trouble, found])
@@ -147,23 +143,8 @@ def _kept_apart(
     return Remeshed(mesh, loads, held > 0, np.arange(len(vertices)))
 
 
-def _crossing_corners(mesh: Mesh, near: float) -> FloatArray:
-    """Return the corners of edges and faces that cross, (n, 3) um."""
-    found = crossings(mesh, near)
-    corners = np.concatenate([mesh.edges()[found[:, 0]], mesh.faces[found[:, 1]]], axis=1)
-    return mesh.vertices_numpy()[np.unique(corners)]
-
-
-def _remeshed(
-    mesh: Mesh,
-    length: FloatArray,
-    passes: int,
-    loads: FloatArray,
-    held: np.ndarray,
-    smooth: bool,
-    guard: np.ndarray,
-    apart: float,
-) -> Remeshed:
+def _remeshed(wanted: _Wanted, guard: np.ndarray, apart: float) -> Remeshed:
+    mesh, length, passes, loads, held, smooth = wanted
     library = native()
     assert library is not None
     try:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..compiled import native
 from ..connected import pieces
-from ..mesh import IntArray, Mesh
+from ..mesh import FloatArray, IntArray, Mesh
 
 
 def crossings(mesh: Mesh, near: float = 0.0) -> IntArray:
@@ -25,6 +25,13 @@ def crossings(mesh: Mesh, near: float = 0.0) -> IntArray:
         float(near),
     )
     return found
+
+
+def crossing_corners(mesh: Mesh, near: float = 0.0) -> FloatArray:
+    """Return the corners of edges and faces that cross, (n, 3) um; near : as in `crossings`."""
+    found = crossings(mesh, near)
+    corners = np.concatenate([mesh.edges()[found[:, 0]], mesh.faces[found[:, 1]]], axis=1)
+    return mesh.vertices_numpy()[np.unique(corners)]
 
 
 def crosses(mesh: Mesh) -> bool:

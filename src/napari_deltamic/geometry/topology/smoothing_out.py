@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from ..connected import connected
 from ..mesh import FloatArray, Mesh
 from .change_sizes import SIZES
-from .crossings import crossings
+from .crossings import crossing_corners, crossings
 from .submesh import Change, Cutter, Mask, Submesh, evened_around, put_back
 
 # In each round. Measured on a mesh of 1000 cells with 25 crossings: none is left after one round of
@@ -53,9 +53,7 @@ def smoothed_out(mesh: Mesh, edge: float) -> Mesh:
 
 def _places(mesh: Mesh, edge: float) -> list[FloatArray]:
     """Return, for each place, the corners of edges and faces that cross, (n, 3) um."""
-    found = crossings(mesh)
-    corners = np.concatenate([mesh.edges()[found[:, 0]], mesh.faces[found[:, 1]]], axis=1)
-    points = mesh.vertices_numpy()[np.unique(corners)]
+    points = crossing_corners(mesh)
     if not len(points):
         return []
     near = cKDTree(points).query_pairs(SIZES.around * edge, output_type="ndarray")
