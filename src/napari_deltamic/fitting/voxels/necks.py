@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, maximum, maximum_position
+from scipy.ndimage import distance_transform_edt, maximum_filter, maximum_position
 
 from ...common.triple import triple
 from ...geometry.labels.label_repair import label_boxes
-from ...geometry.labels.voxels import voxel_labels
+from ...geometry.labels.voxels import highest, voxel_labels
 from ...geometry.mesh import Mesh
 from ...optics import Optics
 from ...scene import Grid
@@ -76,17 +76,17 @@ def beyond_necks(start: Mesh, mesh: Mesh, grid: Grid, optics: Optics) -> BeyondN
         own, held = (np.pad(some[box] == region, 1) for some in (labels, before))
         depth = distance_transform_edt(own, sampling=size / np.asarray(optics.sigma_um))
         new = np.where(held, 0, depth)
-        if new.max() <= RULES.thick:
-            continue
+        if not ((new > RULES.thick) & (new >= maximum_filter(depth, 3))).any():
+            continue  # no part is deepest outside the start: saves most of the time
         parts = parted(depth, RULES.narrow)
-        numbers = np.arange(1, parts.max() + 1)
-        thick = np.asarray(maximum(depth, parts, numbers))
-        beyond = (np.asarray(maximum(new, parts, numbers)) == thick) & (thick > RULES.thick)
+        count = int(parts.max())
+        thick = highest(depth, parts, count)
+        beyond = (highest(new, parts, count) == thick) & (thick > RULES.thick)
         inside = np.bincount(parts.ravel(), held.ravel())[1:]
         beyond[inside.argmax() if inside.any() else thick.argmax()] = False  # the cell itself
         if beyond.any():
             thickest = int(np.where(beyond, thick, 0).argmax())
-            at = maximum_position(new, parts, numbers[thickest])
+            at = maximum_position(new, parts, thickest + 1)
             corner = np.array([side.start for side in box]) - 1
             found.middles[region] = triple((np.asarray(at) + corner) * size + first)
             lost = np.append(False, beyond)[parts][1:-1, 1:-1, 1:-1]
