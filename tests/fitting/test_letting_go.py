@@ -75,7 +75,7 @@ def test_what_the_start_had_stays():
     assert let_neighbours_go(problem(), CELL, ended(CELL)) is None
 
 
-def test_a_part_that_touches_another_cell_stays():
+def test_a_cell_that_touches_another_one_stays():
     assert let_neighbours_go(problem(), CELL, ended(dumbbell(third=2))) is None
 
 

@@ -2,7 +2,9 @@
 
 Where the ground of a start reached into an object without a seed, the surface may grow a neck and
 take the object in. The neck tells, once the fit has ended: what lies beyond is cut off, and its
-light counts as that of another object.
+light counts as that of another object. Only of cells that touch no other: in a cluster, a bulge
+through its hull looks the same, and all cells would be fitted anew for one (an embryo of 56 cells
+took half as long again and ended 0.62 voxel from its membranes, not 0.57).
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from ...geometry.labels.label_repair import label_boxes
-from ...geometry.mesh import FloatArray, Mesh
+from ...geometry.mesh import OUTSIDE, FloatArray, Mesh
 from ...geometry.topology.crossings import crosses
 from ...geometry.topology.patches import Mask, cut_off
 from ...scene import Grid
@@ -25,16 +27,20 @@ from .voxel_ownership import surface_voxels
 def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Problem, Mesh] | None:
     """The problem and the mesh without what lies beyond necks that the start did not have.
 
-    None where there is nothing of that kind that can be cut off: what borders on another cell
-    stays, as does what leaves surfaces that cross.
+    None where there is nothing of that kind that can be cut off: cells that touch another one stay
+    as they are, as do those of which surfaces that cross would be left.
     """
     if problem.anew is None or problem.anew >= RULES.times:
         return None
     mesh, grid = fitted.mesh, problem.grid
+    touching = np.unique(mesh.regions[(mesh.regions != OUTSIDE).all(1)])
+    if np.isin(mesh.region_ids(), touching).all():
+        return None
     beyond = beyond_necks(begun, mesh, grid, fitted.optics)
     sound, cut = not crosses(mesh), mesh
     for region in beyond.middles:
-        smaller = cut_off(cut, region, _faces_beyond(cut, region, beyond, grid))
+        gone = _faces_beyond(cut, region, beyond, grid)
+        smaller = None if region in touching else cut_off(cut, region, gone)
         if smaller is None or (sound and crosses(smaller)):
             beyond.parts[beyond.parts == region] = 0
         else:

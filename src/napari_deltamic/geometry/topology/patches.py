@@ -69,21 +69,21 @@ def cap(places: FloatArray, loop: Sequence[int]) -> IntArray:
 def cut_off(mesh: Mesh, region: int, gone: Mask) -> Mesh | None:
     """The mesh without a part of the surface of a cell; what remains is closed by a fan each.
 
-    None where that part borders on another cell or leaves nothing, or its border touches itself.
+    None where that part leaves nothing, or its border touches itself.
 
     Parameters
     ----------
     mesh
         Closed surfaces.
     region
-        The cell.
+        The cell; it touches no other.
     gone
         (F,) bool: the part.
     """
     around = Outward(mesh, region)
     gone = _without_notches(mesh, gone & around.own, around.own)
     loops = loops_around(around.faces, gone)
-    if not loops or not (mesh.regions[gone] == OUTSIDE).any(1).all():
+    if not loops:
         return None
     places = mesh.vertices_numpy()
     middles = np.array([places[loop].mean(0) for loop in loops])
