@@ -30,7 +30,7 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     None where there is nothing of that kind that can be cut off: cells that touch another one stay
     as they are, as do those of which surfaces that cross would be left.
     """
-    if problem.anew is None or problem.anew >= RULES.times:
+    if problem.anew is None or problem.anew > RULES.times:
         return None
     mesh, grid = fitted.mesh, problem.grid
     touching = np.unique(mesh.regions[(mesh.regions != OUTSIDE).all(1)])
@@ -52,7 +52,8 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     other = distance_transform_edt(beyond.parts == 0, sampling=size)
     inside = (beyond.cells > 0) & (beyond.parts == 0)
     counted = problem.counted & ((own < other) | inside)
-    return with_ground(problem, counted, problem.anew + 1), cut
+    # That light is not asked for again, or the cell would grow into it again; it may let go twice.
+    return with_ground(problem, counted, max(problem.anew + 1, RULES.times)), cut
 
 
 def _faces_beyond(mesh: Mesh, region: int, beyond: BeyondNecks, grid: Grid) -> Mask:
