@@ -6,7 +6,7 @@ from qtpy.QtTest import QTest
 
 from napari_deltamic.common.description import described
 from napari_deltamic.errors import InputError
-from napari_deltamic.gui.fields import Form, Number, Whole
+from napari_deltamic.gui.fields import Form, Number
 from napari_deltamic.gui.settings.optics_panel import ObjectiveFields
 from napari_deltamic.gui.window_words import for_window
 from napari_deltamic.runs.optics_settings import MeasuredOptics, MicroscopeOptics
@@ -113,7 +113,7 @@ def test_what_is_typed_is_taken_as_a_whole_or_not_at_all(make_widget, language, 
 
 
 def test_other_numbers_are_taken_as_they_are_typed_too(app):
-    number, whole = Number(), Whole()
+    number, whole = Number(), Number(whole=True)
     number.setSpecialValueText("automatic")
     assert typed(number, "0,5")[0] == 0.5
     value, why = typed(number, "0.000012")

@@ -14,7 +14,6 @@ from qtpy.QtWidgets import (
     QDoubleSpinBox,
     QFormLayout,
     QLineEdit,
-    QSpinBox,
     QToolTip,
     QWidget,
 )
@@ -73,30 +72,43 @@ class TripleField(QWidget):
         self.edited.emit(self.value())
 
 
-class _AsTyped:
-    """Mixin for spin boxes: typed text is taken as a whole, or refused with a message.
+class Number(QDoubleSpinBox):
+    """A spin box for numbers from 0 (unless signed), without trailing zeros; takes decimal commas.
 
-    Qt's swallow each key that suits no number: 0,26 would become 26, and 290 nm 290.
+    Typed text is taken as a whole, or refused with a message: Qt would swallow each key that suits
+    no number, so that 0,26 would become 26, and 290 nm 290. The range is wide open: a value in
+    another unit is to be named, not cut.
+
+    whole : whether only whole numbers are taken.
     """
 
-    def be_told(self: Any) -> None:
-        """Set it up; to be called once after construction."""
+    refused = Signal(str)  # why what was typed was not taken; '' as soon as more is typed
+
+    def __init__(
+        self, parent: QWidget | None = None, *, signed: bool = False, whole: bool = False
+    ) -> None:
+        super().__init__(parent)
+        self.whole = whole
         self._why = ""
         self._soon = one_shot(self, self._show_why)
-        self.lineEdit().textEdited.connect(self._retyped)
+        self.setRange(-100_000 if signed else 0, 100_000)
+        self.setDecimals(0 if whole else 4)
+        self.setKeyboardTracking(False)
+        self.setStyleSheet("QDoubleSpinBox { min-width: 60px; }")
+        line: Any = self.lineEdit()
+        line.textEdited.connect(self._retyped)
 
-    def _retyped(self: Any, text: str) -> None:
-        if self._why:
-            self._why = ""
-            QToolTip.hideText()
-            self.refused.emit("")
+    def textFromValue(self, value: float) -> str:
+        text = super().textFromValue(value)
+        point = self.locale().decimalPoint()
+        return text.rstrip("0").rstrip(point) if point in text else text
 
-    def validate(self: Any, text: str | None, place: int) -> Any:
+    def validate(self, text: str | None, place: int) -> Any:
         """Called by Qt, also for each key; no text is rejected while typing."""
         known = QValidator.State.Acceptable
         return (QValidator.State.Intermediate if self._trouble(text) else known), text, place
 
-    def fixup(self: Any, text: str | None) -> str:
+    def fixup(self, text: str | None) -> str:
         """Called by Qt when a text that is not a valid number is entered: the old number stays."""
         if self._bare(text):
             self._why = f"{self._trouble(text)}: {self.textFromValue(self.value())} stays"
@@ -104,86 +116,49 @@ class _AsTyped:
             self._soon.start()  # not before Qt has hidden what is shown now
         return text or ""
 
-    def valueFromText(self: Any, text: str | None) -> Any:
+    def valueFromText(self, text: str | None) -> float:
         """The number in a text; called by Qt."""
         bare = self._bare(text)
         if bare and bare == self.specialValueText():
             return self.minimum()
-        return self.value() if self._trouble(text) else self.read(bare)
+        value = None if self._trouble(text) else self._read(bare)
+        return self.value() if value is None else value
 
-    def _trouble(self: Any, text: str | None) -> str:
+    def _retyped(self, text: str) -> None:
+        if self._why:
+            self._why = ""
+            QToolTip.hideText()
+            self.refused.emit("")
+
+    def _trouble(self, text: str | None) -> str:
         """Why a text cannot be taken; '' if it can."""
         bare = self._bare(text)
         if bare and bare == self.specialValueText():
             return ""
-        value = self.read(bare)
+        value = self._read(bare)
         if value is None:
-            return f"'{bare}' is no {self.kind}"
+            return f"'{bare}' is no {'whole number' if self.whole else 'number'}"
         low, high = self.minimum(), self.maximum()
         if not low <= value <= high:
             return f"{bare} is not between {low:.15g} and {high:.15g}"
-        if abs(self.shown(value) - value) > _CUT * abs(value):
+        if abs(round(value, self.decimals()) - value) > _CUT * abs(value):
             return f"{bare} has more than {self.decimals()} decimals"
         return ""
 
-    def _bare(self: Any, text: str | None) -> str:
-        return (text or "").removeprefix(self.prefix()).removesuffix(self.suffix()).strip()
-
-    def _show_why(self: Any) -> None:
-        corner = self.mapToGlobal(self.rect().bottomLeft())
-        QToolTip.showText(corner, for_window(self._why), self)
-
-
-class Whole(_AsTyped, QSpinBox):
-    """A spin box for whole numbers."""
-
-    refused = Signal(str)  # why what was typed was not taken; '' as soon as more is typed
-    kind = "whole number"
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setKeyboardTracking(False)
-        self.be_told()
-
-    def read(self, text: str) -> int | None:
-        """A text as a number, if it is one."""
-        value = None if any(mark in text for mark in ".,") else written(text)
-        return int(value) if value is not None and value == int(value) else None
-
-    def shown(self, value: int) -> int:
-        """What of a value is shown."""
+    def _read(self, text: str) -> float | None:
+        """A text as a number, if it is one that is taken here."""
+        value = written(text)
+        if self.whole and value is not None:
+            grouped = any(mark in text for mark in ".,")  # 1,000 may mean a thousand, or one
+            return None if grouped or value != int(value) else value
         return value
 
+    def _bare(self, text: str | None) -> str:
+        return (text or "").removeprefix(self.prefix()).removesuffix(self.suffix()).strip()
 
-class Number(_AsTyped, QDoubleSpinBox):
-    """A spin box for numbers from 0 (unless signed), without trailing zeros; takes decimal commas.
-
-    It is wide open: a value in another unit is to be named, not cut.
-    """
-
-    refused = Signal(str)  # why what was typed was not taken; '' as soon as more is typed
-    kind = "number"
-
-    def __init__(self, parent: QWidget | None = None, *, signed: bool = False) -> None:
-        super().__init__(parent)
-        self.setRange(-100_000 if signed else 0, 100_000)
-        self.setDecimals(4)
-        self.setKeyboardTracking(False)
-        self.setStyleSheet("QDoubleSpinBox { min-width: 60px; }")
-        self.be_told()
-
-    def read(self, text: str) -> float | None:
-        """A text as a number, if it is one."""
-        return written(text)
-
-    def shown(self, value: float) -> float:
-        """What of a value is shown."""
-        return round(value, self.decimals())
-
-    def textFromValue(self, value: float) -> str:
-        text = super().textFromValue(value)
-        point = self.locale().decimalPoint()
-        return text.rstrip("0").rstrip(point) if point in text else text
+    def _show_why(self) -> None:
+        corner = self.mapToGlobal(self.rect().bottomLeft())
+        QToolTip.showText(corner, for_window(self._why), self)
 
 
 class Form(QWidget):
@@ -254,7 +229,7 @@ def _field(found: Described, parent: QWidget) -> tuple[Any, Any]:
         switch.setChecked(bool(found.default))
         return switch, switch.toggled
     if found.kind == "whole":
-        whole = Whole(parent)
+        whole = Number(parent, whole=True)
         whole.setRange(int(found.low or 0), int(found.high or _MOST))
         return whole, whole.valueChanged
     if found.kind == "number":
@@ -289,7 +264,9 @@ def _value(field: Any) -> Any:
         words = field.text().replace(",", " ").split()
         return [number_or_text(word) for word in words] or None
     value = field.value()
-    return None if value == 0 and field.specialValueText() else value
+    if value == 0 and field.specialValueText():
+        return None
+    return int(value) if isinstance(field, Number) and field.whole else value
 
 
 def _show(field: Any, value: Any) -> None:
