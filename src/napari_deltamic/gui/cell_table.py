@@ -28,7 +28,6 @@ from ..results.cell_columns import (
     is_number,
     value_of,
 )
-from ..results.colouring import colour_of
 from .widgets import Signal, be_table_of_rows
 from .window_words import as_tip, for_window
 
@@ -52,7 +51,6 @@ class CellTable(QTableWidget):
         super().__init__(0, len(COLUMNS), parent)
         self._rows: dict[int, dict[str, Any]] = {}
         self.columns: Sequence[CellColumn] = COLUMNS  # as they are titled
-        self._colours: Mapping[int, int] = {}
         self._told: tuple[int, ...] = ()
         self._wanted = set(FIRST)  # columns, by key; those without values are not shown
         more = "Click to sort, right-click for columns."
@@ -106,22 +104,15 @@ class CellTable(QTableWidget):
             action.setToolTip(for_window(column.tip))
             action.toggled.connect(partial(self.show_column, column.key))
 
-    def show_rows(
-        self,
-        rows: Collection[Mapping[str, Any]],
-        colours: Mapping[int, int] | None = None,
-        length: str = "µm",
-    ) -> None:
+    def show_rows(self, rows: Collection[Mapping[str, Any]], length: str = "µm") -> None:
         """Show measurements, as from ``measure_cells``; cells that are still there stay chosen.
 
-        colours : of the cells, see ``colour_indices``; None: as they were.
         length : what lengths are in.
         """
         self.columns = columns_in(length)
         for number, column in enumerate(self.columns):
             header: Any = self.horizontalHeaderItem(number)
             header.setText(column.title)
-        self._colours = self._colours if colours is None else colours
         before = self.chosen_regions()
         self._rows = {int(row["region"]): dict(row) for row in rows}
         with signals_blocked(self):
@@ -129,7 +120,7 @@ class CellTable(QTableWidget):
             self.setRowCount(len(rows))
             for r, row in enumerate(rows):
                 for c, column in enumerate(COLUMNS):
-                    self.setItem(r, c, _cell(row, column, self._colours))
+                    self.setItem(r, c, _cell(row, column))
             self.setSortingEnabled(True)
             self._hide_columns()
             self._select(before)
@@ -141,6 +132,8 @@ class CellTable(QTableWidget):
 
     def show_swatches(self, colours_of: Callable[[Any], Any]) -> None:
         """Give each row the colour of its cell in the viewer.
+
+        Beside the number, which could not be read in a pale colour on a light theme.
 
         colours_of : (n, 4) RGBA, up to 1, of region numbers (n,).
         """
@@ -254,18 +247,13 @@ class _Item(QTableWidgetItem):
         return isinstance(other, _Item) and self.key < other.key
 
 
-def _cell(
-    row: Mapping[str, Any], column: CellColumn, colours: Mapping[int, int]
-) -> QTableWidgetItem:
+def _cell(row: Mapping[str, Any], column: CellColumn) -> QTableWidgetItem:
     value = value_of(row, column.key)
     item = _Item(for_window(column.text(value)), value)
     side = Qt.AlignmentFlag.AlignLeft if isinstance(value, str) else Qt.AlignmentFlag.AlignRight
     item.setTextAlignment(side | Qt.AlignmentFlag.AlignVCenter)
     if column.key == "region":
-        region = int(row["region"])
-        # Beside the number, which could not be read in a pale colour on a light theme.
-        item.setData(Qt.ItemDataRole.DecorationRole, QColor(*colour_of(region, colours)))
-        item.setData(_REGION, region)
+        item.setData(_REGION, int(row["region"]))
     elif value is None and column.key in row:
         note = for_window(str(row.get("note") or ""))
         item.setToolTip(as_tip(note or _WHY.get(column.key, _OPEN)))

@@ -162,7 +162,7 @@ class ResultsPanel(QGroupBox):
         key = (record.state, record.judged)
         if key != self._shown_of:
             self._shown_of = key
-            self.table.show_rows(record.rows, record.link.colours, record.link.frame.length)
+            self.table.show_rows(record.rows, record.link.frame.length)
             self._explain()
             self._offer_colours()
             if record.judged is not None:

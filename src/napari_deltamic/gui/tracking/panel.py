@@ -323,8 +323,8 @@ class TrackPanel(QGroupBox):
             self.frame.setText(for_window(result.message))
         else:
             self._frame = result.frame
-            rows, length = measure_cells(result.mesh), layers.frame.length
-            self.table.show_rows(rows, layers.colours, length)
+            self.table.show_rows(measure_cells(result.mesh), layers.frame.length)
+            self.table.show_swatches(layers.contours.colours_of)
             told = [*(event.text for event in result.events), result.message]
             text = f"time {result.frame}: {counted(len(result.cells), 'cell')}"
             told = [text, result.judgement, *told]

@@ -94,11 +94,6 @@ class MeshLayers:
         """A title with the time point of the meshes."""
         return ", ".join(filter(None, (title, self.time_in_words)))
 
-    @property
-    def colours(self) -> Mapping[int, int]:
-        """Palette indices of the regions shown; see ``colour_indices``."""
-        return self.contours.colours
-
     def highlight(self, regions: frozenset[int]) -> None:
         """Dim all cells except these; with none, show all alike."""
         if regions != self.contours.chosen:
@@ -233,7 +228,8 @@ class MeshLayers:
             if by is not None:
                 self._values = by.surface_values(apart.sides, self.contours.chosen)
             else:
-                self._values = side_values(apart.sides, self.contours.chosen, self.colours)
+                sides, contours = apart.sides, self.contours
+                self._values = side_values(sides, contours.chosen, contours.colours)
             apart = self._apart = apart.first(mesh, self.contours.chosen)
         return apart.vertices(mesh), apart.faces, self._values
 
