@@ -22,13 +22,13 @@ def test_looking_back_while_the_fit_goes_on(begun, spin):
     spin(lambda: len(begun.doc.timeline.moments) > 8)
     bar = begun.running.history
     bar.slider.setValue(1)
-    moment = bar.chosen
+    moment = begun.doc.moment
     assert begun.doc.link.shown is moment.mesh
     assert f"iteration {moment.iteration}" in bar.note.text()
     n = len(begun.doc.run.history.loss)
     spin(lambda: len(begun.doc.run.history.loss) > n + 10)
     assert begun.doc.link.shown is moment.mesh
-    assert bar.chosen is moment
+    assert begun.doc.moment is moment
     assert not use(begun, "push").drag(right_end(begun))  # that is not the present surface
     bar.live_button.click()
     assert begun.doc.link.shown is begun.doc.link.mesh is not moment.mesh
@@ -38,13 +38,13 @@ def test_going_on_from_an_earlier_moment(begun, spin):
     spin(lambda: len(begun.doc.timeline.moments) > 8)
     bar = begun.running.history
     bar.slider.setValue(0)
-    first, of = bar.chosen.mesh.vertices_numpy(), bar.chosen.iteration
+    first, of = begun.doc.moment.mesh.vertices_numpy(), begun.doc.moment.iteration
     bar.go_on_button.click()
     spin(lambda: f"back to iteration {of}" in notes(begun))
     moment = next(m for m in begun.doc.timeline.moments if m.note)
     # The same surface; where it is much curved, with more triangles.
     assert distance_to_surface(first, moment.mesh).max() < 0.05
-    assert bar.chosen is None
+    assert begun.doc.moment is None
     assert begun.doc.link.shown is begun.doc.link.mesh
     pause(begun, spin)
     bar.undo_button.click()
@@ -55,7 +55,7 @@ def test_going_on_from_an_earlier_moment(begun, spin):
 def test_a_fit_that_has_ended_goes_on_from_a_moment(ended, spin):
     bar, timeline = ended.running.history, ended.doc.timeline
     bar.slider.setValue(0)
-    first, n = bar.chosen.mesh.vertices_numpy(), timeline.moments[-1].iteration
+    first, n = ended.doc.moment.mesh.vertices_numpy(), timeline.moments[-1].iteration
     bar.go_on_button.click()
     spin(went_on(ended))
     assert ended.doc.run.job.settings.fit.levels[0] < 2
@@ -146,7 +146,7 @@ def test_going_on_from_before_the_fit_swapped_its_psf_and_back(seeded, spin, swa
     spin(lambda: seeded.doc.begun and isinstance(seeded.doc.present().state.optics, kind))
     spin(lambda: bar.slider.maximum() > 1)
     bar.slider.setValue(0)
-    assert isinstance(bar.chosen.optics, GaussianPSF)
+    assert isinstance(seeded.doc.moment.optics, GaussianPSF)
     assert not bar.go_on_button.isEnabled()  # it runs with another one
     assert "The PSF was of another kind then" in bar.note.text()
     assert "stop it to continue from here" in bar.go_on_button.toolTip()

@@ -21,7 +21,7 @@ from ..evidence.sanity import tell_doubts
 from ..fitting.job import FitInput
 from ..fitting.model.checks import check_image
 from ..results.session_parts import SavedResult
-from ..results.timeline import Timeline
+from ..results.timeline import Moment, Timeline
 from ..runs.settings import RunSettings, SceneSettings
 from .cell_source import CellSource
 from .fit_choice import FitChoice
@@ -72,7 +72,7 @@ class Document:
         self.work.remarked.connect(lambda warning: self.warned.emit(str(warning)))
         self.run: Any = None  # the last FitRun
         self.begun = False  # whether its first state was shown
-        self.earlier = False  # whether an earlier moment of a fit is looked at
+        self.moment: Moment | None = None  # of a fit, that is looked at; None: its newest state
         self.records: dict[Any, Record] = {}  # by the layer of the image
         self.view: View = "image"
         self.selection: frozenset[int] = frozenset()
@@ -297,11 +297,10 @@ class Document:
         self.records.pop(record.link.image_layer, None)
         return True
 
-    def look_back(self, earlier: bool) -> None:
-        """Set whether an earlier moment of a fit is shown."""
-        if earlier != self.earlier:
-            self.earlier = earlier
-            self.looked_back.emit()
+    def look_back(self, moment: Moment | None) -> None:
+        """Look at an earlier moment of a fit; None: at its newest state again."""
+        self.moment = moment
+        self.looked_back.emit()
 
     def select(self, regions: Sequence[int] | frozenset[int]) -> None:
         chosen = frozenset(regions)

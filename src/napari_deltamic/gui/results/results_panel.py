@@ -184,7 +184,7 @@ class ResultsPanel(QGroupBox):
         if doc.other:
             return told[doc.other]
         earlier = "An earlier moment is shown: table and exports are of the end."
-        return earlier if doc.earlier else ""
+        return earlier if doc.moment is not None else ""
 
     def _offer_colours(self) -> None:
         """Offer the numeric columns for colouring; the one in use stays if possible."""

@@ -11,7 +11,6 @@ from ...common.words import counted
 from ...fitting.history import History
 from ...results.judged import Judged, told
 from ...results.moved_numbers import MovedNumber, moved_numbers
-from ...results.timeline import Moment
 from ..document import VIEWS, Document
 from ..record import Record
 from ..widgets import Fold, Note, Signal, button, filled, narrow_box, row
@@ -150,7 +149,6 @@ class CheckPanel(QGroupBox):
         doc.listen(doc.viewer.dims.events.current_step, self._show_time)
         for turned in (doc.viewer.dims.events.order, doc.viewer.dims.events.ndim):
             doc.listen(turned, self._show_slice)
-        self.history.moment_chosen.connect(self._look_at)
         doc.noted.connect(self.tell)
         doc.unnoted.connect(self._forget_note)
         doc.work.changed.connect(self._work_changed)
@@ -160,7 +158,7 @@ class CheckPanel(QGroupBox):
         for signal in (doc.image.changed, doc.result_changed, doc.judged, doc.ended):
             signal.connect(self._show)
         doc.image.looked.connect(self._look_again)
-        doc.looked_back.connect(self._show_end)
+        doc.looked_back.connect(self._look_back)
 
     def _work_changed(self) -> None:
         if self._doc.running:  # which just began, or else nothing of it is lost
@@ -240,7 +238,7 @@ class CheckPanel(QGroupBox):
     def _show_snapshot(self, snapshot: Snapshot) -> None:
         history = self._doc.run.history
         self._show_curve(history)
-        if not self._doc.earlier:
+        if self._doc.moment is None:
             self.numbers.show_numbers(moved_numbers(snapshot.state, snapshot.job))
 
     def _show_curve(self, history: History) -> None:
@@ -272,7 +270,7 @@ class CheckPanel(QGroupBox):
         text = "" if known is None else told(known, length, stopped=stopped)
         if record is not None and record.by_hand:  # no fit has looked at these shapes
             text, grade = "Changed by hand: continue the fit.", ""
-        if text and self._doc.earlier:
+        if text and self._doc.moment is not None:
             text = f"Of the end: {text}"
         self.grade.say(text, grade)
         self.worst.setVisible(known is not None and bool(known.found.spots))
@@ -284,14 +282,12 @@ class CheckPanel(QGroupBox):
         places = "bright place has" if n == 1 else "bright places have"
         self.stray.say(f"{n} {places} no cell" if n else "")
 
-    def _show_end(self) -> None:
-        """Show the grade anew: its text says so if an earlier moment is shown."""
-        doc = self._doc
+    def _look_back(self) -> None:
+        """Mark the moment that is shown, and say whether the grade is of another one."""
+        doc, moment = self._doc, self._doc.moment
+        self.curve.show_moment(None if moment is None else moment.iteration - self._offset)
         if not doc.running:
             self._show_grade(doc.record if doc.in_sight and not doc.other else None)
-
-    def _look_at(self, moment: Moment | None) -> None:
-        self.curve.show_moment(None if moment is None else moment.iteration - self._offset)
 
     def _show_slice(self, event: Any = None) -> None:
         """Show which slices the viewer has, whoever chose them; nothing for other orders."""

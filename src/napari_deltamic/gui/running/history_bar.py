@@ -15,7 +15,7 @@ from ...common.words import sentence
 from ...errors import InputError
 from ...results.timeline import Moment
 from ..document import Document
-from ..widgets import Note, Signal, button, column, row, small
+from ..widgets import Note, button, column, row, small
 from ..window_words import as_tip
 from .edits import OTHER_PSF, Edits, can_take
 
@@ -31,14 +31,11 @@ class HistoryBar(QWidget):
     control : shows other moments, and lets a fit go on from them.
     """
 
-    moment_chosen = Signal(object)  # a Moment, or None for the newest
-
     def __init__(self, doc: Document, edits: Edits, control: Any, parent: QWidget) -> None:
         super().__init__(parent)
         self._doc, self._edits, self._control = doc, edits, control
         self._next = 0.0
         self._moments: tuple[Moment, ...] = ()
-        self.chosen: Moment | None = None  # that is looked at; None where it is the newest
         self.undo_button = small(button("↶", "", partial(self._take_back, edits.undo), self))
         self.redo_button = small(button("↷", "", partial(self._take_back, edits.redo), self))
         self.slider = QSlider(Qt.Orientation.Horizontal, self)
@@ -69,7 +66,8 @@ class HistoryBar(QWidget):
         with signals_blocked(self.slider):
             self.slider.setRange(0, last)
             self.slider.setEnabled(last > 0)
-            self.slider.setValue(last if self.chosen is None else self._index(self.chosen))
+            chosen = self._doc.moment
+            self.slider.setValue(last if chosen is None else self._index(chosen))
         self._show()
 
     def to_live(self) -> None:
@@ -111,7 +109,7 @@ class HistoryBar(QWidget):
         """
         if self._of_other_image:
             raise InputError(self._of_other_image)
-        moment, present = self.chosen, self._doc.present()
+        moment, present = self._doc.moment, self._doc.present()
         if moment is not None:
             note = f"back to iteration {moment.iteration}"
             self._edits.go_on_from(moment.mesh, moment.optics, note)
@@ -137,15 +135,13 @@ class HistoryBar(QWidget):
         self._choose(None if at_end else self._moments[index])
 
     def _choose(self, moment: Moment | None) -> None:
-        if moment is not self.chosen:
-            self.chosen = moment
-            self._doc.look_back(moment is not None)
+        if moment is not self._doc.moment:
+            self._doc.look_back(moment)
             self._show()
             if moment is None:
                 self._control.let_go()
             else:
                 self._control.hold(moment.mesh)
-            self.moment_chosen.emit(moment)
 
     def _index(self, moment: Moment) -> int:
         # By identity; a moment that was thinned out lies between two that stayed.
@@ -156,7 +152,7 @@ class HistoryBar(QWidget):
         return min(nearest, max(len(self._moments) - 2, 0))
 
     def _show(self) -> None:
-        shown, running = self.chosen, self._doc.running
+        shown, running = self._doc.moment, self._doc.running
         looking = shown is not None
         self.live_button.setVisible(looking)
         self.go_on_button.setVisible(looking or (not running and bool(self._moments)))

@@ -104,7 +104,7 @@ class EditBar(ToolBar):
         tool, link = self.tool, self._doc.link
         if event.button != 1 or tool is None:
             return
-        if self._doc.earlier:
+        if self._doc.moment is not None:
             self.hint.say(_EARLIER)
             return
         if link is None or link.shown is None or self._doc.present() is None:
