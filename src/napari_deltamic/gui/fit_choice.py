@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -55,7 +54,8 @@ class FitChoice:
         self.effects = Effects()
         self.noise = NoiseOf(image)
         self._sigma_given = False
-        self._came_with: Any = None  # a weak reference to the image that came with its PSF
+        self._came_with_image = False  # whether the PSF did
+        image.replaced.connect(self._forget_psf)
         image.changed.connect(self._guess_sigma)
         second.edited.connect(partial(self.changed.emit, True))
         self._guess_sigma()
@@ -139,7 +139,7 @@ class FitChoice:
         self.changed.emit(True)
 
     def edit_sigma(self, sigma: Triple) -> None:
-        self.sigma, self._sigma_given, self._came_with = sigma, True, None
+        self.sigma, self._sigma_given, self._came_with_image = sigma, True, False
         self.changed.emit(True)
 
     def edit_effects(self, effects: Effects) -> None:
@@ -163,8 +163,7 @@ class FitChoice:
 
         psf_is_open : whether nobody gave that PSF: it is only what is shown until a fit starts.
         """
-        layer = self._image.layer
-        self._came_with = None if layer is None else weakref.ref(layer)
+        self._came_with_image = self._image.layer is not None
         self.psf = scene.optics
         if scene.sigma is not None:
             self.sigma, self._sigma_given = scene.sigma, not psf_is_open
@@ -175,11 +174,14 @@ class FitChoice:
         self.effects = effects.in_role(ViewEffect, None)
         self.changed.emit(False)
 
+    def _forget_psf(self) -> None:
+        """Forget a PSF that belongs to an image which is no longer chosen."""
+        if self._came_with_image:
+            self._came_with_image, self._sigma_given, self.psf = False, False, None
+
     def _guess_sigma(self) -> None:
         """Adapt a PSF that nobody gave for this image to the image, or its voxel size."""
         layer = self._image.layer
-        if self._came_with is not None and self._came_with() is not layer:
-            self._came_with, self._sigma_given, self.psf = None, False, None
         if layer is not None and not self._sigma_given:
             self.sigma = triple(SIGMA_IN_VOXELS * d for d in voxel_size(layer))
         self.changed.emit(False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from typing import Any
 
 from qtpy.QtWidgets import QFormLayout, QGroupBox, QLabel, QWidget
@@ -49,9 +48,10 @@ class ImagePanel(QGroupBox):
         layout.addRow(self.voxel_size)
         layout.addRow(self.note)
         self._told = "", False  # what is said of the image, and whether the user is needed
-        self._shown: Any = None  # a weak reference to the layer that is shown
         self._choices: list[Choice] = []
         self._of_channels: Any = None  # the layer whose channels are offered
+        # The fields were opened for the image before.
+        doc.image.replaced.connect(lambda: self.edit_size.setChecked(False))
         doc.image.looked.connect(self._show)
         doc.image.changed.connect(self._show)
         doc.image.stayed.connect(lambda why: self._tell(sentence(why), needed=True))
@@ -69,9 +69,6 @@ class ImagePanel(QGroupBox):
     def _show(self) -> None:
         image = self._image
         layer = image.layer
-        if layer is not (None if self._shown is None else self._shown()):
-            self.edit_size.setChecked(False)  # the fields were opened for another image
-            self._shown = None if layer is None else weakref.ref(layer)
         for field in (self.voxel_size, self.edit_size, self.region):
             field.setEnabled(layer is not None)
         self.region.setCurrentText(WHOLE if image.box is None else BOX)

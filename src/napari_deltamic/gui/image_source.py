@@ -53,6 +53,7 @@ _COVERING = ("opaque", "translucent", "translucent_no_depth")  # ways of napari 
 class ImageSource(LayerChoice):
     """Choice of an image layer; ``changed`` says that it, its voxel size or region is another."""
 
+    replaced = Signal()  # another layer is chosen: comes before ``changed``
     looked = Signal()  # the layers are others: channels may be, and what is missing
     stayed = Signal(str)  # the region did not follow its rectangle, and why
 
@@ -260,6 +261,7 @@ class ImageSource(LayerChoice):
                 self._of_layer.connect(getattr(layer.events, name), self._look)
             self._take_size_of_file(layer)
             self._place_meshes()
+        self.replaced.emit()
         self.looked.emit()
         self.changed.emit()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from qtpy.QtWidgets import QGroupBox, QLabel, QVBoxLayout, QWidget
@@ -47,8 +48,7 @@ class CheckPanel(QGroupBox):
     def __init__(self, doc: Document, edits: Edits, control: Any, parent: QWidget) -> None:
         super().__init__(_TITLE, parent)
         self._doc = doc
-        self._note_of: Any = None  # the image that the note is about
-        self._of_other_fit = False  # whether it is about a fit of another one, which runs
+        self._of_other_fit = False  # whether the note is about a fit of another image, which runs
         self._offset = 0  # iterations of the runs before the present one
         self.away, self.away_row = Note(self, "fair"), QWidget(self)
         tip = "Move the slider to the time of the result."
@@ -107,7 +107,6 @@ class CheckPanel(QGroupBox):
     def tell(self, text: str) -> None:
         """Show in a line what came of something that the user did."""
         doc = self._doc
-        self._note_of = doc.image.layer
         self._of_other_fit = doc.running and bool(doc.name_of_other(doc.record))
         self.note.say(text)
         self._hide_if_empty()
@@ -157,6 +156,7 @@ class CheckPanel(QGroupBox):
         doc.view_changed.connect(self._show_view)
         for signal in (doc.image.changed, doc.result_changed, doc.judged, doc.ended):
             signal.connect(self._show)
+        doc.image.replaced.connect(partial(self.note.say, ""))  # it is of the image before
         doc.image.looked.connect(self._look_again)
         doc.looked_back.connect(self._look_back)
 
@@ -176,8 +176,7 @@ class CheckPanel(QGroupBox):
             else ""
         )
         self.rescued_row.setVisible(lost is not None and doc.image.layer is not None)
-        over = self._of_other_fit and not doc.running
-        if over or self._note_of is not doc.image.layer:
+        if self._of_other_fit and not doc.running:
             self.note.say("")
         ended = None if doc.running else record
         words = ("", "") if ended is None else ended.words

@@ -99,9 +99,8 @@ class AccuracyForecast(QObject):
         for signal in (doc.image.changed, doc.cells_changed, doc.settings.changed):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
-        self._image: tuple[Any, ...] = ()  # the one that was chosen
         self._fitted: tuple[Any, ...] = ()  # that of the last run
-        doc.image.changed.connect(self._image_changed)
+        doc.image.replaced.connect(self._image_replaced)
         doc.work.changed.connect(self._work_changed)
         doc.shown.connect(self._running)
         doc.ended.connect(self._ended)
@@ -112,10 +111,9 @@ class AccuracyForecast(QObject):
         self._show_number()
         self.background.soon(self._ask, WAIT)
 
-    def _image_changed(self) -> None:
-        """Clear the speed of the last run if another image is chosen."""
-        before, self._image = self._image, self._doc.image.key()[:1]
-        if self._image != before and not self._doc.running:
+    def _image_replaced(self) -> None:
+        """Clear the speed of the last run, which was of another image."""
+        if not self._doc.running:
             self.last_run.emit("")
 
     # --------------------------------------------------------------------------- before a run
