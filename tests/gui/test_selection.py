@@ -216,9 +216,9 @@ def test_clicks_that_place_points_choose_nothing(viewer, link, clicked):
 
 def test_after_closing_the_viewer_has_no_callback(viewer, clicked):
     assert clicked.selection.presses.callback in viewer.mouse_drag_callbacks
-    clicked.selection.close_links()
+    clicked.selection.presses.listen(False)
     assert clicked.selection.presses.callback not in viewer.mouse_drag_callbacks
-    clicked.selection.close_links()
+    clicked.selection.presses.listen(False)
 
 
 # ---- the table -----------------------------------------------------------------------------------

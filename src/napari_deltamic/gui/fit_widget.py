@@ -70,7 +70,7 @@ class FitWidget(QWidget):
         for slot in (self.settings.estimate_all, self.start):
             self.running.fit_again.connect(slot)
         bind_keys(doc, self._keys())
-        doc.at_end(chooses.close_links)
+        doc.at_end(partial(chooses.presses.listen, False))
         self._lay_out()
         preferences, remark = read_preferences()
         preferences.show(doc, self.settings.optics, self.seeds.preview)

@@ -275,7 +275,7 @@ def _new(path: str) -> str:
 
 
 class ClickSelection:
-    """Reports which cell was clicked on, until it is closed.
+    """Reports which cell was clicked on, while its ``presses`` listen.
 
     Parameters
     ----------
@@ -290,14 +290,9 @@ class ClickSelection:
         link: Callable[[], ViewerLink | None],
         on_click: Callable[[int, bool], None],
     ) -> None:
-        self._link = link
-        self._on_click: Callable[[int, bool], None] | None = on_click
+        self._link, self._on_click = link, on_click
         self.presses = Presses(viewer, self._pressed)
         self.presses.listen()
-
-    def close_links(self) -> None:
-        self.presses.listen(False)
-        self._on_click = None
 
     def _pressed(self, viewer: Any, event: Any) -> Iterator[None]:
         link = self._link()
@@ -306,7 +301,7 @@ class ClickSelection:
         if link is None or link.shown is None:
             return
         adding = any(key in event.modifiers for key in ("Control", "Shift"))
-        if (yield from is_click(event)) and self._on_click is not None:
+        if (yield from is_click(event)):
             self._on_click(region_at(link, event), adding)
 
 
