@@ -265,13 +265,9 @@ class CellSource(LayerTicks):
     def points_layers(self) -> list[Any]:
         return [layer for layer in self.ticked if isinstance(layer, Points)]
 
-    def shape(self) -> tuple[int, ...] | None:
-        """Shape of the 3D image; None if there is none that can be used, as its panel explains."""
-        return None if self._frame() is None else self._image.shape()
-
     def wanted(self) -> Wanted | None:
         """What a preview of the points is made from; None if there is nothing to show."""
-        frame = None if self.spheres else self._frame()
+        frame = None if self.spheres else self._image.known_frame
         points = np.zeros((0, 3)) if frame is None else self.points(frame)
         if frame is None or not len(points):
             return None
@@ -284,8 +280,8 @@ class CellSource(LayerTicks):
 
     def remarks(self, problems: tuple[Problem, ...]) -> list[Remark]:
         """Remarks on what may be wrong with the seeds; ``problems`` come from a preview."""
-        frame, shape = self._frame(), self.shape()
-        if frame is None or shape is None:
+        frame = self._image.known_frame
+        if frame is None:
             return []
         labels = []
         for layer in self.ticked:
@@ -294,7 +290,8 @@ class CellSource(LayerTicks):
                     seeds = self._of(layer, frame, copied=False)
                     assert isinstance(seeds, LabelSeeds)
                     labels.append((layer, seeds.labels))
-        known = all_remarks(self._point_sets(frame), labels, shape, frame.voxel_size, problems)
+        sets = self._point_sets(frame)
+        known = all_remarks(sets, labels, self._image.shape(), frame.voxel_size, problems)
         made = [Remark(text[0].upper() + text[1:]) for text in self.told]
         return self._placeless() + self._beside(frame) + known + made
 
@@ -348,9 +345,3 @@ class CellSource(LayerTicks):
 
     def _point(self) -> tuple[float, ...]:
         return tuple(float(p) for p in self._viewer.dims.point)
-
-    def _frame(self) -> Frame | None:
-        try:
-            return self._image.frame()
-        except InputError:
-            return None

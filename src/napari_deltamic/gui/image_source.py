@@ -77,6 +77,14 @@ class ImageSource(LayerChoice):
         frame = Frame.of(self.layer)
         return frame if self.box is None else frame.within(self.box)
 
+    @property
+    def known_frame(self) -> Frame | None:
+        """The same; None where there is no image that can be used, as its panel explains."""
+        try:
+            return self.frame()
+        except InputError:
+            return None
+
     def under(self, layer: Any) -> tuple[Frame, Callable[[], NDArray[Any]]]:
         """Frame and voxels of the image under a layer of the region, or of the whole image."""
         if self.box is not None and tuple(layer.data.shape[-3:]) == self.shape():
@@ -270,10 +278,9 @@ class ImageSource(LayerChoice):
 
     def _place_meshes(self, event: Any = None) -> None:
         """Put layers of mesh files, and labels without a scale, into the image's frame."""
-        try:
-            frame = self.frame()
-        except InputError:
-            return  # there is no image yet, or one that cannot be used
+        frame = self.known_frame
+        if frame is None:
+            return
         whole = Frame.of(self.layer).image_options()
         for layer in self._viewer.layers:
             own, options = layer.metadata.get(OWN, {}), {}

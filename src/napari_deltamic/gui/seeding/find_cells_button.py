@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import weakref
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -276,10 +275,11 @@ class FindCells(QPushButton):
         found, layer = self._in_use, self._image.layer
         if found is None or layer is None or self.background.busy or self._refused:
             return
-        with suppress(InputError):  # its panel says why
-            size = self._image.frame().voxel_size
-            if self.message != found.told(size) and found.image() is layer:
-                self._say(found, size)
+        frame = self._image.known_frame
+        if frame is None or found.image() is not layer:
+            return
+        if self.message != found.told(frame.voxel_size):
+            self._say(found, frame.voxel_size)
 
     def _layer_for(self, image: Any, frame: Frame, labels: NDArray[np.int32]) -> Any:
         """The layer of the last search in this image if it still lies on it, else a new one."""
@@ -333,9 +333,9 @@ class FindCells(QPushButton):
             self._tell("")
 
     def _refuse(self, reason: str) -> None:
-        with suppress(InputError):  # there is no image
-            if self._image.frame().length == "voxels":
-                reason = re.sub(r"\bum\b", "voxels", reason)
+        frame = self._image.known_frame
+        if frame is not None and frame.length == "voxels":
+            reason = re.sub(r"\bum\b", "voxels", reason)
         self._tell(sentence(reason))
         self._refused = True
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -44,7 +45,6 @@ class SeedsPanel(QGroupBox):
         self._of_layers = Connections()
         self._time: tuple[int, ...] = ()
         self._voxels: tuple[Any, ...] = ()  # of which image, and how large
-        self._open = True
         self._added: tuple[Any, str] | None = None  # points, and what was said of them
         self._used = False  # whether a result that started from them is shown
         self._make_fields()
@@ -154,8 +154,10 @@ class SeedsPanel(QGroupBox):
         )
 
     def _close(self) -> None:
-        self._open, self._added = False, None
+        self._added = None
         self._of_layers.undo()
+        with suppress(RuntimeError):  # the window may have gone before
+            self._later.stop()
         self.remarks.forget()
 
     # ------------------------------------------------------------------------------------ fields
@@ -241,12 +243,12 @@ class SeedsPanel(QGroupBox):
 
     def _image_changed(self) -> None:
         self.corrections.forget()
-        shape = self.cells.shape()
-        if shape is None:
+        frame = self._image.known_frame
+        if frame is None:
             self.find_cells.forget()
             self._show_soon()
             return
-        size = self._image.frame().voxel_size
+        shape, size = self._image.shape(), frame.voxel_size
         sides = np.asarray(size) * shape
         radius, voxels = float(self.radius.value()), (weakref.ref(self._image.layer), size)
         same = voxels == self._voxels  # another region only: spheres keep their sizes
@@ -273,7 +275,7 @@ class SeedsPanel(QGroupBox):
         if time != self._time:  # other points, and another image
             self._time = time
             self.cells.be_told()
-            if self._open and not self._used:
+            if not self._used:
                 self._later.start()
 
     def _shape_chosen(self, text: str) -> None:
@@ -285,19 +287,16 @@ class SeedsPanel(QGroupBox):
     def _show_soon(self, event: Any = None) -> None:
         self._used = False
         self.cells.be_told()
-        if self._open:
-            self._later.start()
+        self._later.start()
 
     def _remarked(self, warning: Warning) -> None:
         """Keep a remark on what was left out of, or repaired in, the cells until these change."""
-        if isinstance(warning, RepairWarning) and self._open:
+        if isinstance(warning, RepairWarning):
             self.cells.be_told(str(warning))
             self._show_remarks()
 
     def _look(self) -> None:
         """Update whatever depends on the seeds, once they no longer change."""
-        if not self._open:
-            return
         self.preview.later()
         self._show()
         self._show_remarks()
@@ -349,14 +348,15 @@ class SeedsPanel(QGroupBox):
         layers, points = self.cells.ticked, self.cells.points_layers()
         self.corrections.renew()
         shown = bool(points) or not layers
-        sized = self.find_cells.tried and self.cells.shape() is not None
+        frame = self._image.known_frame
+        sized = self.find_cells.tried and frame is not None
         self._form.setRowVisible(self.find_cells.cell_size, sized)
         self._form.setRowVisible(self.shape, shown)
         self._form.setRowVisible(self.radius, shown and self.cells.spheres)
         self._form.setRowVisible(self.preview, shown and not self.cells.spheres)
         # While labels are corrected, their number stands below the tools.
         texts = [] if self.corrections.count.text() else [self.find_cells.message]
-        length = "µm" if self.cells.shape() is None else self._image.frame().length
+        length = "µm" if frame is None else frame.length
         for field, what in ((self.find_cells.cell_size, "size"), (self.radius, "radius")):
             title: Any = self._form.labelForField(field)
             title.setText(f"{what}, {length}")
@@ -375,6 +375,6 @@ class SeedsPanel(QGroupBox):
         self.note.say(" ".join(filter(None, texts)))
 
     def _show_remarks(self) -> None:
-        remarks = self.cells.remarks(self.preview.problems) if self._open else []
+        remarks = self.cells.remarks(self.preview.problems)
         busy = "Looking for the membranes ..." if self.preview.background.busy else ""
         self.remarks.show_remarks(remarks, busy)
