@@ -52,10 +52,9 @@ class MeshLayers:
         self.contours = Contours(frame, contours, image_layer)
         self.contours.layer.metadata[OWN] = dict(self.known)
         self._contours_added = False
-        self._seen_in_3d = True
         self.of_chosen = True
-        self._put_away: dict[Any, bool] = {}  # those that are not, and whether they were seen
-        self._placed = True  # whether the surface belongs to what is shown: 3D, at its time
+        # Layers that do not belong to what is shown, and whether they were seen before.
+        self._put_away: dict[Any, bool] = {}
         self._late = False  # whether the hidden surface is another than what is to be seen
         self.take_time()
         self._colours_of: Mesh | None = None
@@ -140,7 +139,7 @@ class MeshLayers:
 
     def slice_changed(self, event: Any = None) -> None:
         """Update after another slice or view is shown."""
-        self._place_surface()
+        self.place()
         # napari slices no layer that is hidden, and then refuses colours for its new vectors.
         if self.has(self.contours.layer) and self.contours.layer.visible:
             self.contours.update(self.shown if self.at_time else None, self.viewer)
@@ -162,19 +161,16 @@ class MeshLayers:
         self.slice_changed()
 
     def follow_image(self, chosen: bool) -> None:
-        """Show layers only while their image is chosen; what the user shows or hides stays so."""
-        if chosen == self.of_chosen:
-            return
+        """Show layers only while their image is chosen."""
         self.of_chosen = chosen
+        self.place()
+
+    def place(self) -> None:
+        """Show layers only where they belong; there, what the user shows or hides stays so."""
         for layer in self.flat():
-            if not chosen:
-                self._put_away[layer] = bool(layer.visible)
-                layer.visible = False
-            elif not layer.visible:
-                layer.visible = self._put_away.get(layer, True)
-        if chosen:
-            self._put_away = {}
-        self._place_surface()
+            self._show_where(layer, self.of_chosen)
+        if self.surface is not None:
+            self._show_where(self.surface, self._belongs())
 
     def flat(self) -> list[Any]:
         """The layers that show a mesh on slices."""
@@ -266,9 +262,10 @@ class MeshLayers:
         self._dress()
 
     def _make_surface(self, data: Any, **options: Any) -> Surface:
-        self._placed = self._belongs()
-        metadata = {OWN: dict(self.known)}
-        made = Surface(data, name=self._name, visible=self._placed, metadata=metadata, **options)
+        seen, metadata = self._belongs(), {OWN: dict(self.known)}
+        made = Surface(data, name=self._name, visible=seen, metadata=metadata, **options)
+        if not seen:
+            self._put_away[made] = True
         self.surface = made.lie_on(self.image_layer)
         return made
 
@@ -283,19 +280,17 @@ class MeshLayers:
             self.slice_changed()
 
     def _belongs(self) -> bool:
+        """Whether the surface belongs to what is shown."""
         return self.viewer.dims.ndisplay == 3 and self.at_time and self.of_chosen
 
-    def _place_surface(self) -> None:
-        """Show the surface in views where it belongs, unless the user has hidden it there."""
-        if self.surface is None or not self.has(self.surface) or self._belongs() == self._placed:
-            return
-        if self._placed:
-            self._seen_in_3d = self.surface.visible
-        self._placed = not self._placed
-        seen = self._placed and self._seen_in_3d
-        if seen:
-            self._catch_up()
-        self.surface.visible = seen
+    def _show_where(self, layer: Any, belongs: bool) -> None:
+        if belongs and self._put_away.pop(layer, False) and not layer.visible:
+            if layer is self.surface:
+                self._catch_up()
+            layer.visible = True
+        elif not belongs and layer not in self._put_away:
+            self._put_away[layer] = bool(layer.visible)
+            layer.visible = False
 
 
 def _same(a: Mesh, b: Mesh) -> bool:

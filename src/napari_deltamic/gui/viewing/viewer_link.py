@@ -242,7 +242,6 @@ class Pins:
             places,
             ndim=3,
             name=self._name,
-            visible=self._in.of_chosen,
             size=max(size, max(self._in.frame.voxel_size)),
             face_color=_OF_PINS,
             border_width=0,
@@ -252,3 +251,4 @@ class Pins:
             **self._in.frame.layer_options(),
         ).lie_on(self._in.image_layer)
         self._in.add(self.layer)
+        self._in.place()
