@@ -63,7 +63,8 @@ class OpticsPanel(QWidget):
         super().__init__(parent)
         self._doc, self._choice = doc, doc.settings
         self._given: Any = None  # settings of a kind that has no fields here
-        self._key = self._width = ""
+        self._key: tuple[Any, ...] = ()
+        self._width = ""
         tips = "<br>".join(f"<b>{name}</b>: {text}" for name, text in _TIPS.items())
         self.kind = narrow_box(self, "kind of PSF", tips, _TIPS)
         self.sigma = TripleField(described(SceneSettings)["sigma"].sentence, self)
@@ -133,8 +134,7 @@ class OpticsPanel(QWidget):
         """Show what is chosen, and if the PSF has changed, what follows from it."""
         if not by_user and not isinstance(self._choice.psf, InputError):
             self._show_fields(self._choice.psf)
-        self._say_widths()
-        key = self._choice.psf_key()
+        key = self._choice.psf_key(), self._choice.psf_is_open
         if key != self._key:
             self._key = key
             self._renew()
@@ -155,24 +155,15 @@ class OpticsPanel(QWidget):
     def _renew(self) -> None:
         for kind, page in self._pages.items():
             page.setVisible(kind == self.kind.currentText())
-        self._width = ""
-        self._complain("")
-        self._say_widths()
-        self.background.drop()  # of what was shown before
-        self._show_own()
-        self.described.emit()
-
-    def _say_widths(self) -> None:
-        """Say what the fields of a Gaussian mean; for other PSFs, how wide they are."""
+        self._width = text = ""
         if self._choice.psf is None:
             text = "Standard deviations along Z, Y and X, µm."
-            if self._choice.psf_is_open:
-                text += (
-                    " Until you edit them, a fit starts as wide as the blur of the image instead."
-                )
-            self.width_note.say(text)
-        elif not self._width:
-            self.width_note.say("")
+        if self._choice.psf_is_open:
+            text += " Until you edit them, a fit starts as wide as the blur of the image instead."
+        self.width_note.say(text)
+        self.background.drop()  # of what was shown before
+        self._show_own()
+        self._complain("")
 
     def _show_own(self) -> None:
         self.found.say("")
