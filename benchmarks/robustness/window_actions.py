@@ -110,7 +110,7 @@ def _settings(s: Session) -> list[Action]:
         ("kind of psf", lambda: of().optics.kind.setCurrentIndex(rng.randrange(3))),
         ("effect", effect),
         ("check effects", check),
-        ("stop the check", lambda: s.widget.doc.work.stop(at_once=True)),
+        ("stop the check", lambda: s.widget.doc.work.stop()),
         ("use recommended", lambda: of().effects.take_button.click()),
         ("measure", lambda: of().tradeoff.findChildren(_button())[0].click()),
         ("second view", lambda: any_item(s, of().effects.second.chooser)),

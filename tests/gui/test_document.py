@@ -188,12 +188,12 @@ def test_one_task_at_a_time(app, spin):
 
 def test_a_task_that_gives_way_ends_at_once(app, spin):
     work, first, second = Work(), Waits(), Waits()
-    first.gives_way = True
+    first.gives_way = second.gives_way = True
     work.start(first)
     work.start(second)
     assert first.ended == [None]
     assert work.task is second
-    work.stop(at_once=True)
+    work.stop()
     assert second.ended == [None]
     spin(lambda: first.done and second.done)
 

@@ -172,7 +172,7 @@ class TaskButton(QPushButton):
 
     def _pressed(self) -> None:
         if self.busy:
-            self._work.stop(at_once=True)
+            self._work.stop()
         else:
             self.start()
 

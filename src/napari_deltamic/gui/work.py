@@ -177,7 +177,7 @@ class Work(QObject):
         if self.occupied:
             raise InputError(self.occupied)
         if self.task is not None:
-            self.stop(at_once=True)
+            self.stop()
         self.task = task
         self._calm.begin()
         self._activity = progress(total=0, desc=f"deltaMic: {task.title}")
@@ -185,12 +185,13 @@ class Work(QObject):
         _THREADS.submit(_run, task)
         self._timer.start(0)
 
-    def stop(self, *, at_once: bool = False) -> None:
-        """End the task; what it reached is kept. At once: without waiting for its thread."""
+    def stop(self) -> None:
+        """End the task; what it reached is kept. One that gives way ends before its thread does."""
         task = self.task
         if task is not None:
             task.stop()
-            if at_once:
+            self.looked.emit()
+            if task.gives_way:
                 self._end(task, None)
 
     def pause(self, paused: bool) -> None:

@@ -34,7 +34,7 @@ class Footer(QWidget):
         self.pause_button = button("Pause", tip, None, self)
         self.pause_button.setCheckable(True)
         tip = "Stop what is running; what it has reached is kept."
-        self.stop_button = button("Stop", tip, self._stop, self)
+        self.stop_button = button("Stop", tip, doc.work.stop, self)
         self.progress = QProgressBar(self)
         self.progress.setTextVisible(True)
         self.message = Note(self)
@@ -145,12 +145,6 @@ class Footer(QWidget):
         self.pause_button.setText("Resume" if paused else "Pause")
         self._since = time.monotonic()
         self._doc.work.pause(paused)
-
-    def _stop(self) -> None:
-        task = self._doc.work.task
-        self._doc.work.stop(at_once=task is not None and task.gives_way)
-        if self._doc.work.task is not None:
-            self.message.say("stopping ...")
 
 
 def progress_text(iterations: int, rate: float, remaining: float | None) -> str:
