@@ -150,7 +150,7 @@ def test_a_row_goes_to_its_cell_in_its_frame(widget, viewer, spin):
         assert viewer.dims.current_step[0] == t
         np.testing.assert_allclose(viewer.dims.point, (5 * t, *place), atol=0.2)
         np.testing.assert_allclose(camera_of(viewer).center, place, atol=0.1)
-    widget.tracking.layers.go_to(2, CENTER)
+    widget.tracking.layers.go_to_frame(2, CENTER)
     assert viewer.dims.current_step[0] == 2
 
 

@@ -58,7 +58,6 @@ class EditBar(ToolBar):
         self.presses = Presses(doc.viewer, self._pressed)
         self.tool_chosen.connect(self._tool_chosen)
         doc.began.connect(self._began)
-        doc.image.changed.connect(self._show_pins)
         edits.changed.connect(self._show_pins)
         doc.at_end(partial(self.presses.listen, False))
         self._show_pins()
@@ -85,8 +84,6 @@ class EditBar(ToolBar):
             with signals_blocked(self.radius):  # a brush that suits the mesh
                 self.radius.setRange(size / 100, size / 2)
                 self.radius.setValue(size / 8)
-        if not fresh:
-            self._show_pins()
 
     def _show_pins(self) -> None:
         pinned, link = self._edits.pinned, self._doc.link

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
@@ -42,6 +41,8 @@ _TOOLS: dict[str, tuple[str, str, Action]] = {
 }
 _UNDO = "Undo the last correction, or stroke of the brush (Ctrl+Z)."
 _IN_3D = "Cells that were missed are added on slices only."
+# What clicks led to: the labels, and the voxels where they changed.
+_Found = tuple[NDArray[np.int32], tuple[NDArray[np.intp], ...]]
 _BESIDE = "In 3D, click on a cell; what was missed is added on the slices."
 
 
@@ -219,7 +220,7 @@ class Corrections(QObject):
         """Put corrected labels into a layer if it still holds the same array."""
         self.bar.explain()
         if layer in self._viewer.layers and layer.data is data:  # not replaced meanwhile
-            _put(layer, found.labels, found.changed)
+            _put(layer, *found)
             self.edited.emit()
         self.renew()
         self._next()
@@ -230,18 +231,10 @@ class Corrections(QObject):
         self._next()
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """What clicks led to: the labels, and the voxels where they changed."""
-
-    labels: NDArray[np.int32]
-    changed: tuple[NDArray[np.intp], ...]
-
-
 def _corrected(corrector: Callable[[], Corrector], labels: Any, clicks: list[Click]) -> _Found:
     """Apply clicks to labels; runs in a thread."""
     found = corrector().corrected(labels, clicks)
-    return _Found(found, np.nonzero(found != labels))
+    return found, np.nonzero(found != labels)
 
 
 def _more(tool: str, ndisplay: int) -> str:

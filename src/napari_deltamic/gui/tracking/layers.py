@@ -13,7 +13,7 @@ from ...measure import measure_cells
 from ...results.colouring import PALETTE, colour_indices, plain_index
 from ...tracking import FrameResult, lineage, surface_4d
 from ..viewing.colours import PALETTE_RGBA, in_steps, region_colours
-from ..viewing.frame import MADE_BY_FIT, OWN, Frame, camera_of, go_to
+from ..viewing.frame import MADE_BY_FIT, OWN, Frame
 from ..viewing.mesh_layers import MeshLayers
 from ..viewing.own_layers import Tracks
 
@@ -68,16 +68,15 @@ class TrackLayers(MeshLayers):
         self._show_surface(meshes)
         self._show_tracks(meshes)
         if len(news) == 1 and self.number == news[0] - 1:
-            self.viewer.dims.set_current_step(self.viewer.dims.ndim - 4, news[0])
+            self.go_to_frame(news[0])
         self.slice_changed()
 
-    def go_to(self, number: int, center: Sequence[float]) -> None:
-        """Move sliders and camera to a frame and a place in it, um."""
-        if not np.isfinite(center).all():
-            return
-        image, world = self.image_layer, self.frame.to_world(center).tolist()
-        go_to(self.viewer, [image.translate[-4] + number * image.scale[-4], *world])
-        camera_of(self.viewer).center = tuple(world)
+    def go_to_frame(self, number: int, center: Sequence[float] | None = None) -> None:
+        """Move the time slider to a frame, and if one is given, the view to a place in it, um."""
+        self.take_time((number,))
+        self.go_to_time()
+        if center is not None:
+            self.go_to(center)
 
     def slice_changed(self, event: Any = None) -> None:
         super().slice_changed(event)

@@ -106,12 +106,8 @@ class TrackPanel(QGroupBox):
     def go_to_worst(self) -> None:
         """Go to the frame with the least certain surfaces, and if they still move, to where."""
         worst, layers = worst_of(self.results), self.layers
-        if worst is None or layers is None:
-            return
-        if worst.moving is not None:
-            layers.go_to(worst.frame, worst.moving)
-        else:
-            self._doc.viewer.dims.set_current_step(self._doc.viewer.dims.ndim - 4, worst.frame)
+        if worst is not None and layers is not None:
+            layers.go_to_frame(worst.frame, worst.moving)
 
     def save(self, folder: str) -> None:
         """Write what the command line would. InputError if it cannot be written."""
@@ -333,7 +329,7 @@ class TrackPanel(QGroupBox):
     def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
         """Go to the cell chosen last, at the time of its row."""
         if self.layers is not None and by_hand and regions:
-            self.layers.go_to(self._frame, self.table.center(regions[-1]))
+            self.layers.go_to_frame(self._frame, self.table.center(regions[-1]))
 
     def _ask_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder for all times")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from .colours import LIMITS, ByValue, region_colormap, side_values, surface_look
 from .contours import Contours
-from .frame import MADE_BY_FIT, OWN, Frame, camera_of
+from .frame import MADE_BY_FIT, OWN, Frame, camera_of, go_to
 from .listening import Connections
 from .own_layers import Surface
 from .walls import COPIES, Apart
@@ -59,7 +59,6 @@ class MeshLayers:
         self.take_time()
         self._colours_of: Mesh | None = None
         self._apart: Apart | None = None  # how the surface is drawn
-        self._apart_of: Mesh | None = None
         self._values: NDArray[np.float32] | None = None
         self.connections = Connections()
         dims = viewer.dims.events
@@ -88,6 +87,20 @@ class MeshLayers:
     def time_in_words(self) -> str:
         """The time point of the meshes, as the slider counts; '' for an image without times."""
         return f"time {self.time[-1]}" if self.time else ""
+
+    def go_to(self, center: Sequence[float]) -> None:
+        """Move slices and camera to a place, um in the frame, at the time of the meshes."""
+        if not np.isfinite(center).all():
+            return
+        self.go_to_time()
+        world = self.frame.to_world(center).tolist()
+        go_to(self.viewer, world)
+        camera_of(self.viewer).center = tuple(world)
+
+    def go_to_time(self) -> None:
+        """Move the time slider to the time of the meshes."""
+        end = self.viewer.dims.ndim - 3
+        self.viewer.dims.set_current_step(range(end - len(self.time), end), self.time)
 
     def with_time(self, title: str) -> str:
         """A title with the time point of the meshes."""
@@ -215,10 +228,10 @@ class MeshLayers:
 
     def _drawn(self, mesh: Mesh) -> tuple[Any, Any, Any]:
         """Vertices, faces and values for the surface layer of a mesh."""
-        apart, of = self._apart, self._apart_of
-        if apart is None or of is None or not _same(of, mesh):
-            apart = self._apart = Apart.of(mesh)
-            self._apart_of, self._values = mesh, None
+        apart = self._apart
+        if apart is None or not _same(apart.mesh, mesh):
+            apart, self._values = Apart.of(mesh), None
+            self._apart = apart
         if self._values is None:
             by = self.contours.by
             if by is not None:
@@ -226,7 +239,7 @@ class MeshLayers:
             else:
                 sides, contours = apart.sides, self.contours
                 self._values = side_values(sides, contours.chosen, contours.colours)
-            apart = self._apart = apart.first(mesh, self.contours.chosen)
+            apart = self._apart = apart.first(self.contours.chosen)
         return apart.vertices(mesh), apart.faces, self._values
 
     def _set_surface(self, layer: Surface, mesh: Mesh) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ...results.features import features_at
-from .frame import MADE_BY_FIT, OWN, Frame, camera_of, go_to
+from .frame import MADE_BY_FIT, OWN, Frame, camera_of
 from .mesh_layers import MeshLayers
 from .own_layers import Points, cut_by_slices
 
@@ -118,19 +118,6 @@ class ViewerLink(MeshLayers):
 
     def made(self) -> list[Any]:
         return [*super().made(), self.rendered, self.residual, self._pins.layer]
-
-    def go_to(self, center: Sequence[float]) -> None:
-        """Move slices and camera to a place, um in the frame, at the time of the meshes."""
-        if not np.isfinite(center).all():
-            return
-        self.go_to_time()
-        world = self.frame.to_world(center).tolist()
-        go_to(self.viewer, world)
-        camera_of(self.viewer).center = tuple(world)
-
-    def go_to_time(self) -> None:
-        """Move the time slider to the time of the meshes."""
-        self.viewer.dims.set_current_step(range(len(self.time)), self.time)
 
     def slice_changed(self, event: Any = None) -> None:
         super().slice_changed(event)

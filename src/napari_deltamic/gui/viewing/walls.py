@@ -25,12 +25,14 @@ COPIES = "copies"  # key under OWN: of which vertices those after the first V ar
 class Apart:
     """A mesh as it is drawn.
 
+    mesh : of which this is true, as of others with its triangles.
     copies : (C,) vertices of the mesh that follow on its V vertices once more.
     faces : (F, 3), in the order in which they are drawn.
     order : (F,) which face of the mesh each of them is.
     sides : (V + C, 2) the two regions that each vertex drawn lies between, ascending.
     """
 
+    mesh: Mesh
     copies: NDArray[np.int64]
     faces: NDArray[np.int64]
     order: NDArray[np.int64]
@@ -53,13 +55,13 @@ class Apart:
         between[number] = pairs[which]
         faces = number[drawn.reshape(-1, 3)]
         order = np.arange(len(faces))
-        return cls(copies, mesh.faces if not len(copies) else faces, order, between)
+        return cls(mesh, copies, mesh.faces if not len(copies) else faces, order, between)
 
-    def first(self, mesh: Mesh, chosen: Collection[int]) -> Apart:
+    def first(self, chosen: Collection[int]) -> Apart:
         """The same with the faces of some regions drawn before others, which are translucent."""
         if not chosen:
             return self
-        own = np.isin(mesh.regions[self.order], list(chosen)).any(axis=1)
+        own = np.isin(self.mesh.regions[self.order], list(chosen)).any(axis=1)
         kept = np.argsort(~own, kind="stable")
         return replace(self, faces=self.faces[kept], order=self.order[kept])
 
