@@ -128,13 +128,14 @@ class SessionBar:
         held = None if record is None or self._doc.running else record.reached
         tracked = self._parts.tracking.results if session.tracks is not None else []
 
-        def saved(path: str) -> None:
+        def saved(written: None) -> None:
             if record is not None and session.result is not None:
                 self._doc.note_saved(record, held)
             self._parts.tracking.note_saved(tracked)
-            self._saved(path)
+            self._show()
+            self._doc.told.emit(f"saved {path}")
 
-        self._saving.ask(partial(_save, path, session), saved)
+        self._saving.ask(partial(save_session, path, session), saved)
         self._show()
 
     def open(self, path: str) -> None:
@@ -147,10 +148,6 @@ class SessionBar:
         """The window is closed: stop opening; a file being written is completed."""
         self._steps = None
         self._calm.end()
-
-    def _saved(self, path: str) -> None:
-        self._show()
-        self._doc.told.emit(f"saved {path}")
 
     def _failed(self, text: str) -> None:
         """A file could not be written, or read."""
@@ -205,8 +202,3 @@ class SessionBar:
         ):
             one.setEnabled(not busy)
             one.setText(words[busy])
-
-
-def _save(path: str, session: Session) -> str:
-    save_session(path, session)
-    return path
