@@ -51,8 +51,9 @@ _COVERING = ("opaque", "translucent", "translucent_no_depth")  # ways of napari 
 
 
 class ImageSource(LayerChoice):
-    """Choice of an image layer; ``changed`` says that it, its voxel size or region is another."""
+    """Choice of an image layer, its region and voxel size."""
 
+    changed = Signal()  # the layer, its region or voxel size is another
     replaced = Signal()  # another layer is chosen: comes before ``changed``
     looked = Signal()  # the layers are others: channels may be, and what is missing
     stayed = Signal(str)  # the region did not follow its rectangle, and why
@@ -404,7 +405,6 @@ class SecondSource(LayerChoice):
         self.shown.emit()
 
     def _layer_changed(self) -> None:
-        super()._layer_changed()
         self.shown.emit()
         if not self._quiet:
             self.edited.emit()

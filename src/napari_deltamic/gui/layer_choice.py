@@ -51,8 +51,6 @@ class LayerChoice(Layers):
     optional : whether there may be none; then none is chosen but by the user.
     """
 
-    changed = Signal()  # another layer is chosen
-
     def __init__(
         self, viewer: Any, accepts: Callable[[Any], bool], *, optional: bool = False
     ) -> None:
@@ -78,8 +76,8 @@ class LayerChoice(Layers):
             self._layer_changed()
 
     def _layer_changed(self) -> None:
-        """Signal that another layer is chosen."""
-        self.changed.emit()
+        """Called when another layer is chosen."""
+        raise NotImplementedError
 
     def close_links(self) -> None:
         super().close_links()

@@ -28,11 +28,9 @@ from qtpy.QtWidgets import (
 from superqt import QLabeledDoubleSlider
 from superqt.utils import signals_blocked
 
-from ..errors import InputError
 from .document import Document
 from .layer_choice import LayerChoice
 from .window_words import as_tip, for_window
-from .work import Question, Work
 
 # The bindings' type stubs do not agree on these two.
 Signal: Any = QtCore.Signal  # type: ignore[attr-defined]
@@ -115,70 +113,6 @@ def slider(tip: str, parent: QWidget | None) -> QLabeledDoubleSlider:
     made = QLabeledDoubleSlider(Qt.Orientation.Horizontal, parent)
     made.setToolTip(as_tip(tip))
     return made
-
-
-class TaskButton(QPushButton):
-    """Starts a task of one kind, and ends it while it runs.
-
-    Parameters
-    ----------
-    titles : while it can be started, and while it runs.
-    make : makes it. InputError where something is missing.
-    about : tells what it would be about now; equal as long as what it finds holds.
-    refused : called with the reason why it did not start.
-    """
-
-    began = Signal()
-
-    def __init__(
-        self,
-        work: Work,
-        titles: tuple[str, str],
-        tip: str,
-        make: Callable[[], Question],
-        about: Callable[[], Any],
-        refused: Callable[[str], None],
-        parent: QWidget,
-    ) -> None:
-        super().__init__(titles[0], parent)
-        self.setToolTip(as_tip(tip))
-        self._work, self._titles = work, titles
-        self._make, self._about, self._refused = make, about, refused
-        self._of: Any = None  # what the last task was about
-        self.task: Question | None = None  # the last one
-        self.clicked.connect(self._pressed)
-        work.changed.connect(self._show)
-
-    @property
-    def busy(self) -> bool:
-        return self.task is not None and self.task.running
-
-    @property
-    def stale(self) -> bool:
-        """Whether the last task was about something other than what is chosen now."""
-        return self._of != self._about()
-
-    def start(self) -> None:
-        """Start a task, unless one runs that does not give way."""
-        try:
-            task, of = self._make(), self._about()
-            self._work.start(task)
-        except InputError as error:
-            self._refused(str(error))
-            return
-        self.task, self._of = task, of
-        self._show()
-        self.began.emit()
-
-    def _pressed(self) -> None:
-        if self.busy:
-            self._work.stop()
-        else:
-            self.start()
-
-    def _show(self) -> None:
-        self.setText(self._titles[self.busy])
-        self.setEnabled(self.busy or not self._work.occupied)
 
 
 def confirmed(parent: QWidget, title: str, text: str, yes: str, no: str) -> bool:

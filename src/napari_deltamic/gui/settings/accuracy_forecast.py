@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
 import numpy as np
 from qtpy.QtCore import QObject, Qt
-from qtpy.QtWidgets import QComboBox, QListWidget, QListWidgetItem, QWidget
+from qtpy.QtWidgets import QComboBox, QListWidget, QListWidgetItem, QPushButton, QWidget
 
 from ...accuracy.accuracy_chart import short
 from ...accuracy.forecast import Forecast, RenewedForecast
@@ -31,7 +31,8 @@ from ...geometry import Mesh
 from ..document import Document
 from ..fit_choice import NORMAL
 from ..running.worker import FitRun, Snapshot
-from ..widgets import Note, Signal, TaskButton, be_as_high_as_rows, be_narrow, column
+from ..widgets import Note, Signal, be_as_high_as_rows, be_narrow, column
+from ..window_words import as_tip
 from ..work import Question
 
 WAIT = 300  # ms without a change before the forecast is computed
@@ -190,6 +191,70 @@ class AccuracyForecast(QObject):
             self._doc.learned.learn(forecast.kind, found, self._fitted)
 
 
+class TaskButton(QPushButton):
+    """Starts a task about the scene chosen, and ends it while it runs.
+
+    Parameters
+    ----------
+    titles : while it can be started, and while it runs.
+    make : makes it. InputError where something is missing.
+
+    Attributes
+    ----------
+    progress : a note, to be laid out below: why it did not start, and what the panel says.
+    """
+
+    began = Signal()
+
+    def __init__(
+        self,
+        doc: Document,
+        titles: tuple[str, str],
+        tip: str,
+        make: Callable[[], Question],
+        parent: QWidget,
+    ) -> None:
+        super().__init__(titles[0], parent)
+        self.setToolTip(as_tip(tip))
+        self.progress = Note(parent)
+        self._doc, self._titles, self._make = doc, titles, make
+        self._of: tuple[Any, ...] = ()  # the scene of the last task
+        self.task: Question | None = None  # the last one
+        self.clicked.connect(self._pressed)
+        doc.work.changed.connect(self._show)
+
+    @property
+    def busy(self) -> bool:
+        return self.task is not None and self.task.running
+
+    @property
+    def stale(self) -> bool:
+        """Whether the last task was about another scene than is chosen now."""
+        return self._of != scene_key(self._doc)
+
+    def start(self) -> None:
+        """Start a task, unless one runs that does not give way."""
+        try:
+            task, of = self._make(), scene_key(self._doc)
+            self._doc.work.start(task)
+        except InputError as error:
+            self.progress.say(str(error))
+            return
+        self.task, self._of = task, of
+        self._show()
+        self.began.emit()
+
+    def _pressed(self) -> None:
+        if self.busy:
+            self._doc.work.stop()
+        else:
+            self.start()
+
+    def _show(self) -> None:
+        self.setText(self._titles[self.busy])
+        self.setEnabled(self.busy or not self._doc.work.occupied)
+
+
 class TradeoffView(QWidget):
     """Button and list; ``chosen`` brings the accuracy of a line that was clicked."""
 
@@ -200,10 +265,8 @@ class TradeoffView(QWidget):
         self._doc = doc
         self._accuracy: float | None = None
         self.ways: list[Way] = []  # that are shown
-        self.progress = Note(self)
-        make, about = self._measurement, partial(scene_key, doc)
-        said = self.progress.say
-        self.button = TaskButton(doc.work, _TITLES, _MEASURES, make, about, said, self)
+        self.button = TaskButton(doc, _TITLES, _MEASURES, self._measurement, self)
+        self.progress = self.button.progress
         self.list = QListWidget(self)
         self.list.setAccessibleName("what accuracy costs")
         be_as_high_as_rows(self.list)

@@ -21,10 +21,10 @@ from ...scene.effects import KINDS, Effects, ViewEffect, kind_of
 from ..document import Document
 from ..fields import TripleField
 from ..viewing.listening import Connections
-from ..widgets import LayerChooser, Note, Signal, TaskButton, button, column, row
+from ..widgets import LayerChooser, Note, Signal, button, column, row
 from ..window_words import as_tip
 from ..work import Question
-from .accuracy_forecast import scene_key
+from .accuracy_forecast import TaskButton
 from .effects_table import EffectsTable, spoken
 
 _TITLES = "Check this image", "Stop checking"
@@ -47,9 +47,9 @@ class EffectsPanel(QWidget):
         self._shown: Effects | None = None
         self._kept: Recommendation | None = None  # what was found, also of another image
         self.found: Recommendation | None = None
-        self.progress, self.reason, self.remarks = Note(self), Note(self), Note(self)
-        about, refused = partial(scene_key, doc), self.progress.say
-        self.button = TaskButton(doc.work, _TITLES, _TIP, self._question, about, refused, self)
+        self.reason, self.remarks = Note(self), Note(self)
+        self.button = TaskButton(doc, _TITLES, _TIP, self._question, self)
+        self.progress = self.button.progress
         tip = "Tick those that are recommended."
         self.take_button = button("Use recommended", tip, self.take_recommended, self)
         self.table = EffectsTable(self)
