@@ -110,7 +110,6 @@ class Question(Task):
     Parameters
     ----------
     steps : called with the question, for its steps; see :meth:`Task.steps`.
-    on_look : called a few times a second.
     on_end : called with the answer, or with why there is none; with None where it was stopped.
     shape : of the image, which tells how much memory is needed.
 
@@ -125,7 +124,6 @@ class Question(Task):
         self,
         title: str,
         steps: Callable[[Question], Generator[None, None, Any]],
-        on_look: Callable[[], None],
         on_end: Callable[[Any], None],
         shape: Sequence[int] | None = None,
     ) -> None:
@@ -133,7 +131,7 @@ class Question(Task):
         self.title, self.stage = title, "preparing"
         self._steps, self._shape = steps, shape
         self.found: list[Any] = []
-        self._on_look, self._on_end = on_look, on_end
+        self._on_end = on_end
 
     def steps(self) -> Generator[None, None, Any]:
         """What the thread runs."""
@@ -141,9 +139,6 @@ class Question(Task):
 
     def failed(self, error: Exception) -> str:
         return words_of(error, self._shape)
-
-    def look(self) -> None:
-        self._on_look()
 
     def end(self, outcome: Any) -> None:
         self._on_end(outcome)

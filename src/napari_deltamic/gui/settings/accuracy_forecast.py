@@ -276,6 +276,7 @@ class TradeoffView(QWidget):
         for signal in (doc.image.changed, doc.settings.changed):
             signal.connect(self.look)
         self.button.began.connect(self._show)
+        doc.work.looked.connect(self._look_for_more)
 
     def show_accuracy(self, accuracy: float | None) -> None:
         """Mark the accuracy that the dial stands for; None if it is not known."""
@@ -299,13 +300,8 @@ class TradeoffView(QWidget):
     def _measurement(self) -> Question:
         scene = scene_now(self._doc)
         accuracy_of(scene.choice, 0.0)
-        return Question(
-            "ways to render are being timed",
-            partial(_timed, scene),
-            self._look_for_more,
-            self._ended,
-            scene.grid.shape,
-        )
+        title, steps = "ways to render are being timed", partial(_timed, scene)
+        return Question(title, steps, self._ended, scene.grid.shape)
 
     def _look_for_more(self) -> None:
         task = self.button.task

@@ -57,6 +57,7 @@ class EffectsPanel(QWidget):
         said = self.progress, self.table, self.reason, self.remarks, self.second
         column(row(self.button, self.take_button), *said, of=self)
         self.button.began.connect(self._began)
+        doc.work.looked.connect(self._show_stage)
         self.table.ticked.connect(self._ticked)
         self.table.looked_at.connect(self._explain)
         self._choice.changed.connect(self._show)
@@ -125,7 +126,7 @@ class EffectsPanel(QWidget):
 
     def _question(self) -> Question:
         steps = partial(_check, *self.asked())
-        return Question("corrections are being checked", steps, self._show_stage, self._ended)
+        return Question("corrections are being checked", steps, self._ended)
 
     def _began(self) -> None:
         self._kept = None
@@ -133,7 +134,7 @@ class EffectsPanel(QWidget):
         self._show_stage()
 
     def _show_stage(self) -> None:
-        if self.button.task is not None:
+        if self.button.busy and self.button.task is not None:
             self.progress.say(f"{self.button.task.stage} ...")
 
     def _ended(self, outcome: Recommendation | str | None) -> None:
