@@ -44,6 +44,7 @@ class Preview(QCheckBox):
         self._layers: StartLayers | None = None
         self.background = doc.background(self._fail)
         doc.at_end(self._let_go)
+        doc.listen(doc.viewer.layers.events.removed, self._layer_removed)
         self.clicked.connect(self._note_choice)
         self.toggled.connect(self.later)
 
@@ -98,8 +99,7 @@ class Preview(QCheckBox):
         else:
             if shown is None or shown.frame != asked.frame or shown.image_layer is not of:
                 self._take_away()
-                shown = StartLayers(self._viewer, of, asked.frame, self._removed)
-                self._layers = shown
+                shown = self._layers = StartLayers(self._viewer, of, asked.frame)
             shown.show(found.mesh)
         self._set_problems(found.problems)
 
@@ -119,10 +119,14 @@ class Preview(QCheckBox):
     def _note_choice(self, checked: bool) -> None:
         self._user_chose = True
 
-    def _removed(self, by_user: bool) -> None:
+    def _layer_removed(self, event: Any) -> None:
+        """Take all away where one of the layers goes; if by the user, do not show them again."""
+        shown = self._layers
+        if shown is None or event.value not in (*shown.made(), shown.image_layer):
+            return
         self._take_away()
         self.changed.emit()
-        if by_user:
+        if event.value is not shown.image_layer:
             self._user_chose = True
             self.setChecked(False)
 
@@ -134,10 +138,7 @@ def _found(points: FloatArray, read: Callable[[], NDArray[Any]], frame: Frame) -
 
 
 class StartLayers(MeshLayers):
-    """Two layers of the plugin's own that show where a fit of an image would start.
-
-    on_removed : called when one of the layers, or the image, is removed: whether by a user.
-    """
+    """Two layers of the plugin's own that show where a fit of an image would start."""
 
     names = ("start", "start contours")
     low = True
@@ -147,19 +148,8 @@ class StartLayers(MeshLayers):
         "blending": "translucent_no_depth",
     }
 
-    def __init__(
-        self, viewer: Any, image_layer: Any, frame: Frame, on_removed: Callable[[bool], None]
-    ) -> None:
-        super().__init__(viewer, image_layer, frame)
-        self._on_removed = on_removed
-        self.connections.connect(viewer.layers.events.removed, self._removed)
-
     def show(self, mesh: Mesh) -> None:
         """Show surfaces, um in the frame."""
         self.take_time()
         self.mesh = mesh
         self.draw(mesh)
-
-    def _removed(self, event: Any) -> None:
-        if event.value in (self.surface, self.contours.layer, self.image_layer):
-            self._on_removed(event.value is not self.image_layer)
