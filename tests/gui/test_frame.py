@@ -139,7 +139,7 @@ def test_contours_across_other_axes_and_in_time(viewer):
 def test_contours_between_tall_voxels_are_drawn(viewer):
     """The slider stands there once a surface reaches beyond the image."""
     layer = viewer.add_image(np.zeros((9, 30, 30)), scale=(4, 1, 1), units=("um",) * 3)
-    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link = ViewerLink(viewer, layer, Frame.of(layer))
     link.show_mesh(sphere((16, 15, 15), 12, subdivisions=2))
     viewer.add_points([[-6.92, 0, 0]])  # so does this
     viewer.dims.set_point(0, 17.08)
@@ -174,7 +174,7 @@ def test_contours_keep_their_width_on_the_screen(viewer, unit):
     um = {"um": 1, "nm": 1000}[unit]
     size = np.multiply((0.3, 0.2, 0.2), um)
     layer = viewer.add_image(np.zeros((4, 8, 8)), scale=size, units=(unit,) * 3)
-    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link = ViewerLink(viewer, layer, Frame.of(layer))
     link.show_mesh(sphere((0.5, 0.8, 0.8), 0.5, subdivisions=2))
     contours = link.contours
     assert len(contours.layer.data)

@@ -48,7 +48,7 @@ def link(viewer):
     )
     viewer.add_layer(layer)
     getattr(viewer, "scene", viewer).camera.zoom = 100  # px in a um
-    link = ViewerLink(viewer, layer, Frame.of(layer), lambda reason: None)
+    link = ViewerLink(viewer, layer, Frame.of(layer))
     link.show_mesh(cells())
     yield link
     link.close()

@@ -31,7 +31,7 @@ def pair():
 @pytest.fixture
 def shown(viewer, pair):
     layer = viewer.add_image(np.zeros((6, 12, 14)), scale=SIZE, name="cell", units=("um",) * 3)
-    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link = ViewerLink(viewer, layer, Frame.of(layer))
     link.show_mesh(pair)
     return link
 
@@ -115,7 +115,7 @@ def test_contours_are_those_of_the_time_that_was_fitted(viewer, pair):
     layer = viewer.add_image(np.zeros((2, 6, 12, 14)), scale=(1, *SIZE), name="series")
     viewer.dims.set_point(0, 1)
     viewer.dims.set_point(1, 2.0)
-    link = ViewerLink(viewer, layer, Frame.of(layer), print)
+    link = ViewerLink(viewer, layer, Frame.of(layer))
     link.show_mesh(pair)
     assert len(link.contours.layer.data)
     viewer.dims.set_point(0, 0)

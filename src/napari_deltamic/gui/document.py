@@ -400,13 +400,13 @@ class Document:
         """Place what is shown of a record where its last fit was started, and at that time."""
         frame, time, record.pixels = self._place
         if record.link.frame != frame:
+            old, record.link = record.link, self._link_for(record.link.image_layer, frame)
             # What it showed lies elsewhere now; cells of another fit start there, perhaps.
-            record.link.remove(but=self.cells.ticked)
-            record.link = self._link_for(record.link.image_layer, frame)
+            old.remove(but=self.cells.ticked)
         record.link.take_time(time)
 
     def _link_for(self, layer: Any, frame: Frame) -> ViewerLink:
-        link = ViewerLink(self.viewer, layer, frame, partial(self._lost, layer))
+        link = ViewerLink(self.viewer, layer, frame)
         link.follow_image(layer is self.image.layer)
         return link
 
@@ -415,24 +415,29 @@ class Document:
         for record in self.records.values():
             record.link.follow_image(self.of_image(record))
 
-    def _lost(self, layer: Any, reason: str) -> None:
-        """A layer that the fit needs was removed: stop the fit, and keep what it reached."""
-        record = self.record
-        lost = record is not None and record.link.image_layer is layer
-        if lost and self.running and not self.run.stopping:
-            self.work.stop()
-            self.warned.emit(f"the fit ends, as {reason}; its result can still be saved")
-
     def _layer_removed(self, event: Any) -> None:
         """Drop the record of a removed image; if it was being fitted, rescue it for saving."""
-        record = self.records.get(event.value)
-        if record is None:
-            return
-        if self.running and record is self._of_run:
+        layer, record = event.value, self.records.get(event.value)
+        if self.running and self._of_run is not None:
+            self._end_without(layer, self._of_run)
+        if record is not None and self.running and record is self._of_run:
             self._rescued = record
-        else:
+        elif record is not None:
             record.link.close()
-            del self.records[event.value]
+            del self.records[layer]
+
+    def _end_without(self, layer: Any, record: Record) -> None:
+        """Stop the fit if it needs a layer that was removed; what it reached is kept."""
+        needed = {
+            record.link.image_layer: "image layer",
+            record.link.surface: "layer of the meshes",
+        }
+        if layer in needed and not self.run.stopping:
+            self.work.stop()
+            text = (
+                f"the fit ends, as the {needed[layer]} was removed; its result can still be saved"
+            )
+            self.warned.emit(text)
 
 
 def _tell_ground(scene: SceneSettings, uneven: str, told: bool) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,12 +30,9 @@ class ViewerLink(MeshLayers):
     ----------
     image_layer : the image that is fitted.
     frame : of what is fitted of it.
-    on_lost : called with a sentence when a layer that the fit needs is removed.
     """
 
-    def __init__(
-        self, viewer: Any, image_layer: Any, frame: Frame, on_lost: Callable[[str], None]
-    ) -> None:
+    def __init__(self, viewer: Any, image_layer: Any, frame: Frame) -> None:
         super().__init__(viewer, image_layer, frame)
         self._held: Mesh | None = None  # shown instead of the newest
         self.rendered: Image | None = None
@@ -45,8 +42,6 @@ class ViewerLink(MeshLayers):
         self._view = "image"
         self._before: Any = None  # order of the axes, centre and zoom, before two images were seen
         self._pins = Pins(self, f"{image_layer.name}: pinned")
-        self._on_lost = on_lost
-        self.connections.connect(viewer.layers.events.removed, self._layer_removed)
 
     @property
     def shown(self) -> Mesh | None:
@@ -177,12 +172,6 @@ class ViewerLink(MeshLayers):
             contrast_limits=limits,
             **self.frame.image_options(),
         )
-
-    def _layer_removed(self, event: Any) -> None:
-        if event.value is self.image_layer:
-            self._on_lost("the image layer was removed")
-        elif event.value is self.surface:
-            self._on_lost("the layer of the meshes was removed")
 
 
 def limits_of(residual: NDArray[Any]) -> tuple[float, float]:
