@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,20 +27,16 @@ class TrackLayers(MeshLayers):
     ----------
     image_layer : the series (T, Z, Y, X).
     frame : of the image layer.
-    on_time : called when another time, or slice, is shown.
     """
 
     names = ("tracked surfaces", "tracked contours")
     at_time = True  # whatever is shown
 
-    def __init__(
-        self, viewer: Any, image_layer: Any, frame: Frame, on_time: Callable[[], None]
-    ) -> None:
+    def __init__(self, viewer: Any, image_layer: Any, frame: Frame) -> None:
         super().__init__(viewer, image_layer, frame)
         self.results: dict[int, FrameResult] = {}
         self.tracks: Tracks | None = None
         self._coloured: Mapping[int, int] = {}  # colours that the surface has
-        self._on_time = on_time
 
     @property
     def number(self) -> int:
@@ -77,10 +73,6 @@ class TrackLayers(MeshLayers):
         self.go_to_time()
         if center is not None:
             self.go_to(center)
-
-    def slice_changed(self, event: Any = None) -> None:
-        super().slice_changed(event)
-        self._on_time()
 
     def made(self) -> list[Any]:
         return [self.tracks, *super().made()]

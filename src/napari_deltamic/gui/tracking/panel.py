@@ -75,7 +75,8 @@ class TrackPanel(QGroupBox):
         self.table.chosen.connect(self._chosen)
         doc.image.changed.connect(self._image_changed)
         doc.work.changed.connect(self._work_changed)
-        doc.listen(doc.viewer.dims.events.current_step, self._show_first)
+        for show in (self._show_first, self._show_frame):
+            doc.listen(doc.viewer.dims.events.current_step, show)
         doc.at_end(self._let_go)
         doc.ask_before_losing(self._unsaved)
         self.worst_button.hide()
@@ -218,7 +219,7 @@ class TrackPanel(QGroupBox):
         """New layers in place of those of an earlier run, else two surfaces would overlap."""
         if self.layers is not None:
             self.layers.remove()
-        self.layers = TrackLayers(self._doc.viewer, image_layer, frame, self._show_frame)
+        self.layers = TrackLayers(self._doc.viewer, image_layer, frame)
         return self.layers
 
     def _frame_done(self, results: Sequence[FrameResult]) -> None:
@@ -306,7 +307,7 @@ class TrackPanel(QGroupBox):
     def _go_to_first(self) -> None:
         self._doc.viewer.dims.set_current_step(self._doc.viewer.dims.ndim - 4, 0)
 
-    def _show_frame(self) -> None:
+    def _show_frame(self, event: Any = None) -> None:
         """Show the cells of the frame shown, and what happened in it."""
         layers = self.layers
         result = None if layers is None else layers.result
