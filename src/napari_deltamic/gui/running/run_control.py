@@ -40,13 +40,7 @@ class RunControl:
     def start(self) -> None:
         """Start a fit of what is chosen; if something is missing, the user is told what."""
         if not self._doc.busy():
-            attempt(self._start, self.complain)
-
-    def complain(self, message: str) -> None:
-        """Tell that a fit of the chosen image failed."""
-        doc = self._doc
-        doc.failed.emit(message)
-        doc.warned.emit(message)
+            attempt(self._start, self._doc.failed.emit)
 
     # ------------------------------------------------------------------- changes on the way
 
@@ -156,7 +150,7 @@ class RunControl:
         self._doc.refuse(reason)
 
     def _ended(self, record: Record, outcome: Outcome) -> None:
-        attempt(partial(self._end, record, outcome), self.complain)
+        attempt(partial(self._end, record, outcome), self._doc.failed.emit)
         self._doc.attempt(self._doc.ended.emit)
 
     def _end(self, record: Record, outcome: Outcome) -> None:
@@ -170,7 +164,7 @@ class RunControl:
         if outcome.verdict == "failed" and state is not None:
             doc.warned.emit(outcome.message)
         elif outcome.verdict == "failed":
-            self.complain(outcome.message)
+            doc.failed.emit(outcome.message)
         words = outcome.verdict, "\n".join([text, *remarks])
         if state is None or job is None:
             if record.state is None:
