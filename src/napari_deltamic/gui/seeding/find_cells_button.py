@@ -45,7 +45,7 @@ class _Found:
     layer : of the labels.
     count : how many cells there are, in words.
     size : how large they are, in words; '' once they were edited.
-    others : see ``FindCells.others``.
+    others : sizes that they may have instead, with how many would be found, about; 0: not known.
     voxel_size : that the image had, um.
     pixels : gives the voxels that it had, as long as they are there.
     ticked, visible : whether the labels were, when another image was chosen.
@@ -134,11 +134,10 @@ class FindCells(QPushButton):
             "image. Larger: fewer cells; smaller: more. Then press 'Find cells' again."
         )
         self.cell_size = slider(tip, parent)
-        self.message = ""
-        # Sizes that the cells may have instead, with how many would be found, about; 0: not known.
-        self.others: Sequence[tuple[float, int]] = ()
+        self._said = ""  # why nothing was found, or what goes on
+        self._told = ""  # the message as it was told last
         self._sizes: list[tuple[float, int]] = []
-        self._moved = self._refused = False
+        self._moved = False
         self._found: WeakKeyDictionary[Any, _Found] = WeakKeyDictionary()  # by image layer
         self._looked_in: Callable[[], Any] | None = None  # the voxels that are looked through
         self._in_use: _Found | None = None  # of the image, or of another channel of its stack
@@ -151,6 +150,23 @@ class FindCells(QPushButton):
         self.cell_size.valueChanged.connect(self._note_move)
         for layer in doc.viewer.layers:  # found in a window that was closed
             self._adopt(layer)
+
+    @property
+    def message(self) -> str:
+        """What goes on, or what was found in the image; '' for nothing."""
+        found, frame = self._in_use, self._image.known_frame
+        if self._said or found is None:
+            return self._said
+        return found.told(found.voxel_size if frame is None else frame.voxel_size)
+
+    @property
+    def others(self) -> Sequence[tuple[float, int]]:
+        """Other sizes that are offered: they would be looked for in the image as it is now."""
+        found, frame = self._in_use, self._image.known_frame
+        if self._said or found is None or frame is None or found.of_other_pixels:
+            return ()
+        same = found.of_size(frame.voxel_size) and not self._marks(found, self._image.layer)
+        return found.others if same else ()
 
     @property
     def tried(self) -> bool:
@@ -181,8 +197,7 @@ class FindCells(QPushButton):
         """
         self.forget()
         self._use_those_of(self._image.layer)
-        if self._in_use is not None:
-            self._say(self._in_use, voxel_size)
+        self._tell()
         sides = np.multiply(shape, voxel_size)
         least = 4 * geometric_mean(voxel_size)  # less is refused
         if same:
@@ -195,9 +210,9 @@ class FindCells(QPushButton):
 
     def forget(self) -> None:
         """Give up a search, and clear the reason for a failed one, as the image has changed."""
-        if self.background.busy or self._refused:
+        if self._said:
             self.background.drop()
-            self._tell("")
+            self._tell()
 
     def edited(self, event: Any = None) -> None:
         """Labels were edited: count cells again, and renew colours, as other cells may touch."""
@@ -207,7 +222,7 @@ class FindCells(QPushButton):
             found.layer.colormap = label_colormap(labels)
             found.count, found.size = counted(len(voxels_of(labels)), "cell"), ""
             found.note()
-            self._tell(f"{found.count}.", self.others)
+            self._tell()
 
     def find_with(self, size: float | str) -> None:
         self._set_size(float(size))
@@ -218,7 +233,7 @@ class FindCells(QPushButton):
         """Show the cells found in an image; wanted : size that was asked for, um; None for any."""
         size, labels = result.size, result.labels
         if image_layer not in self._viewer.layers:
-            self._tell("")
+            self._tell()
             return
         if not self._moved:
             self._set_size(size)
@@ -234,7 +249,7 @@ class FindCells(QPushButton):
         found = _Found(of, layer, count, words, others, frame.voxel_size, pixels)
         self._found[image_layer] = self._in_use = found
         found.note()
-        self._say(found, frame.voxel_size)
+        self._tell()
         for other in before:  # of another region, or channel
             if other is not layer:
                 self._cells.choose(other, ticked=False)
@@ -253,9 +268,7 @@ class FindCells(QPushButton):
             self._cells.choose(old.layer, ticked=False)
             old.layer.visible = False
         self._in_use = new
-        if new is None:
-            self._tell("")
-        else:
+        if new is not None:
             self._cells.choose(new.layer, new.ticked)
             new.layer.visible = new.visible
 
@@ -264,22 +277,10 @@ class FindCells(QPushButton):
         there = found.image()
         return there is not None and there is not image and of_one_stack(there, image)
 
-    def _say(self, found: _Found, voxel_size: tuple[float, ...]) -> None:
-        # Other sizes would be looked for in the image as it is now.
-        same = found.of_size(voxel_size) and not found.of_other_pixels
-        same = same and not self._marks(found, self._image.layer)
-        self._tell(found.told(voxel_size), found.others if same else ())
-
     def _look_again(self) -> None:
-        """Update the message, as the image's pixels may have been replaced."""
-        found, layer = self._in_use, self._image.layer
-        if found is None or layer is None or self.background.busy or self._refused:
-            return
-        frame = self._image.known_frame
-        if frame is None or found.image() is not layer:
-            return
-        if self.message != found.told(frame.voxel_size):
-            self._say(found, frame.voxel_size)
+        """Tell the message anew if it has changed, as the image's pixels may have been replaced."""
+        if self.message != self._told:
+            self._tell(self._said)
 
     def _layer_for(self, image: Any, frame: Frame, labels: NDArray[np.int32]) -> Any:
         """The layer of the last search in this image if it still lies on it, else a new one."""
@@ -309,7 +310,7 @@ class FindCells(QPushButton):
         if found is not None and found.image() is self._image.layer:
             self._in_use = found
             self._cells.choose(found.layer)
-            self._say(found, self._image.frame().voxel_size)
+            self._tell()
 
     def _adopt(self, layer: Any) -> _Found | None:
         """Take a layer as the cells found in its image if it says so, and there is no other."""
@@ -330,18 +331,18 @@ class FindCells(QPushButton):
             del self._found[image]
         if self._in_use is not None and self._in_use.layer is event.value:
             self._in_use = None
-            self._tell("")
+            self._tell()
 
     def _refuse(self, reason: str) -> None:
         frame = self._image.known_frame
         if frame is not None and frame.length == "voxels":
             reason = re.sub(r"\bum\b", "voxels", reason)
         self._tell(sentence(reason))
-        self._refused = True
 
-    def _tell(self, message: str, others: Sequence[tuple[float, int]] = ()) -> None:
-        self._refused = False
-        self.message, self.others = message, others
+    def _tell(self, said: str = "") -> None:
+        """Tell the message: what is said, or else what was found."""
+        self._said = said
+        self._told = self.message
         in_use = self._in_use
         self._cells.wait_for(self.background.busy, None if in_use is None else in_use.layer)
         self.told.emit()
