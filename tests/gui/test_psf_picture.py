@@ -65,7 +65,7 @@ def test_many_changes_are_few_pictures(open_panel, spin, counted):
     for k in range(30):
         show_psf(open_panel.doc, sigma=(0.4 + 0.01 * k, 0.2, 0.2))
         spin(seconds=0.01, must=False)
-    spin(lambda: not picture(open_panel).busy)
+    spin(lambda: not picture(open_panel)._background.busy)
     assert 1 <= len(counted) <= 4
     assert picture(open_panel).sections.side == pytest.approx(7 * 0.69)
 
@@ -73,10 +73,10 @@ def test_many_changes_are_few_pictures(open_panel, spin, counted):
 def test_that_of_an_objective_is_drawn(open_panel, spin):
     optics = open_panel.settings.optics
     optics.kind.setCurrentText(OBJECTIVE)
-    spin(lambda: not optics.background.busy and not picture(open_panel).busy)
+    spin(lambda: not optics.background.busy and not picture(open_panel)._background.busy)
     assert picture(open_panel).sections is not None
     optics.objective.numbers["na"].setValue(9)
-    spin(lambda: not optics.background.busy and not picture(open_panel).busy)
+    spin(lambda: not optics.background.busy and not picture(open_panel)._background.busy)
     assert picture(open_panel).sections is None, "there is no such PSF"
 
 
@@ -87,7 +87,7 @@ def test_it_follows_the_fit(open_panel, spin, endless, counted):
     spin(lambda: len(counted) > 1)
     open_panel.stop()
     spin(lambda: not open_panel.doc.run.running)
-    spin(lambda: not picture(open_panel).busy)
+    spin(lambda: not picture(open_panel)._background.busy)
     np.testing.assert_allclose(
         picture(open_panel).sections.side, 7 * max(open_panel.doc.run.state.optics.sigma_um)
     )

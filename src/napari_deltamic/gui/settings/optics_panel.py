@@ -27,7 +27,6 @@ from ..fields import Form, TripleField
 from ..fit_choice import widths_in_words
 from ..widgets import Note, Signal, button, column, narrow_box
 from ..window_words import attempt
-from ..work import one_shot
 
 GAUSSIAN, OBJECTIVE, MEASURED, GIVEN = "Gaussian", "from the objective", "measured", "as given"
 _WAIT = 250  # ms without a change before the PSF is computed
@@ -317,17 +316,12 @@ class PsfPicture(QLabel):
         self.sections: Sections | None = None
         self._wanted: Optics | None = None  # not yet shown
         self._background = doc.background(self._drop)
-        self._timer = one_shot(self, self._look, _EVERY)
         self.setFixedHeight(_SIDE + 2)
         self._tip = (
             "<qt>The PSF, cut along the optical axis (left) and across it, both to one scale; that "
             "of the fit, where there is one. Brightness is its square root, so that its tails are "
             "seen. The bar is {bar} µm long.</qt>"
         )
-
-    @property
-    def busy(self) -> bool:
-        return self._timer.isActive() or self._background.busy
 
     def show_optics(self, optics: Optics) -> None:
         """Show a PSF soon; if called several times, the last one."""
@@ -346,13 +340,12 @@ class PsfPicture(QLabel):
         self._look_soon()
 
     def _look_soon(self) -> None:
-        if self._wanted is not None and self.isVisible() and not self._timer.isActive():
-            self._timer.start()
+        """Look at what was given, unless something is under way: then after that."""
+        if self._wanted is not None and self.isVisible() and not self._background.busy:
+            self._background.soon(self._look, _EVERY)
 
     def _look(self) -> None:
-        if self._background.busy:
-            self._look_soon()
-        elif self._wanted is not None and self.isVisible():
+        if self._wanted is not None and self.isVisible():
             wanted, self._wanted = self._wanted, None
             self._background.ask(partial(psf_sections, wanted), self._show)
 
@@ -369,11 +362,13 @@ class PsfPicture(QLabel):
         image: Any = QImage(picture.tobytes(), m, n, m, QImage.Format.Format_Grayscale8)
         self.setPixmap(QPixmap.fromImage(image.copy()))
         self.setToolTip(self._tip.format(bar=f"{bar:g}"))
+        self._look_soon()
 
     def _drop(self, reason: str) -> None:
         # Why a PSF cannot be is told beside its numbers.
         self.sections = None
         super().clear()
+        self._look_soon()
 
 
 def _lean_in_words(optics: GaussianPSF) -> str:
