@@ -351,6 +351,7 @@ class SecondSource(LayerChoice):
     sigma : widths of its PSF, um: as wide as those of most images, until someone says more.
     """
 
+    optional = True
     edited = Signal()  # by the user
     shown = Signal()  # it, or the image, is another one
 
@@ -358,9 +359,7 @@ class SecondSource(LayerChoice):
         self._image = image
         self.sigma: Triple = (1.0, 1.0, 1.0)
         self._given = self._quiet = False
-        super().__init__(
-            viewer, lambda layer: is_stack(layer) and layer is not image.layer, optional=True
-        )
+        super().__init__(viewer, lambda layer: is_stack(layer) and layer is not image.layer)
         image.changed.connect(self._image_changed)
 
     def view(self) -> ViewEffect | None:

@@ -46,15 +46,11 @@ class Layers:
 
 
 class LayerChoice(Layers):
-    """A choice of one of the layers, or none.
+    """A choice of one of the layers, or none."""
 
-    optional : whether there may be none; then none is chosen but by the user.
-    """
+    optional = False  # whether there may be none; then none is chosen but by the user
 
-    def __init__(
-        self, viewer: Any, accepts: Callable[[Any], bool], *, optional: bool = False
-    ) -> None:
-        self.optional = optional
+    def __init__(self, viewer: Any, accepts: Callable[[Any], bool]) -> None:
         self.layer: Any = None
         super().__init__(viewer, accepts)
 
