@@ -85,7 +85,6 @@ class Document:
         # That the last fit was started for, and what gives the voxels of its image.
         self._place: tuple[Frame, tuple[int, ...], Callable[[], Any]]
         self._fresh = True  # whether the run has a mesh of its own
-        self._closed = False
         self._connections = Connections()
         self._connections.connect(viewer.layers.events.removed, self._layer_removed)
         self.image.changed.connect(self._follow_image)
@@ -378,9 +377,6 @@ class Document:
 
     def close(self, gone: Any = None) -> None:
         """End everything; further calls do nothing."""
-        if self._closed:
-            return
-        self._closed = True
         self.work.close()
         for record in list(self.records.values()):
             record.link.close()
