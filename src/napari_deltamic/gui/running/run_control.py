@@ -221,7 +221,8 @@ class Judging:
     def _judge(self) -> None:
         """Render and judge the result, in the background."""
         record = self._doc.result
-        if record is not None and not self._doc.running and record.judged is None:
+        under_way = self.background.busy and record is not None and record.state is self._asked_of
+        if record is not None and not (self._doc.running or record.judged or under_way):
             self._asked_of = record.state
             work = partial(judge, *record.of_fit(), self._spread)
             self.background.ask(work, partial(self._add, record, record.state))
@@ -229,10 +230,7 @@ class Judging:
     def _image_changed(self) -> None:
         """Judge a result when its image is chosen, if another one was chosen when it ended."""
         self._place()
-        record = self._doc.result
-        asked = self.background.busy and record is not None and record.state is self._asked_of
-        if not asked:
-            self._judge()
+        self._judge()
 
     def _add(self, record: Record, state: FitState | None, images: Compared) -> None:
         """Take over images and verdict: of a result, or, without a state, of a running fit."""
