@@ -49,7 +49,6 @@ class ImagePanel(QGroupBox):
         layout.addRow(self.note)
         self._told = "", False  # what is said of the image, and whether the user is needed
         self._choices: list[Choice] = []
-        self._of_channels: Any = None  # the layer whose channels are offered
         # The fields were opened for the image before.
         doc.image.replaced.connect(lambda: self.edit_size.setChecked(False))
         doc.image.looked.connect(self._show)
@@ -76,7 +75,7 @@ class ImagePanel(QGroupBox):
         if layer is None:
             self.size_line.setText("-")
             text = sentence(image.missing())
-            if self._of_channels is None:
+            if self._image.with_channels() is None:
                 text = "Open a 3D image (drag it into napari), or File > Open Sample."
             self._tell(text)
             return
@@ -121,7 +120,7 @@ class ImagePanel(QGroupBox):
 
     def _offer_channels(self) -> None:
         """List the channels of the layer, of the layer it was taken from, or of an unusable one."""
-        layer = self._of_channels = self._image.with_channels()
+        layer = self._image.with_channels()
         self._choices = channels(layer)
         self.channels.clear()
         series = layer is not None and layer is self._image.layer
@@ -136,7 +135,7 @@ class ImagePanel(QGroupBox):
 
     def _take_channel(self, index: int) -> None:
         if 0 < index <= len(self._choices):
-            self._image.take_channel(self._of_channels, self._choices[index - 1])
+            self._image.take_channel(self._image.with_channels(), self._choices[index - 1])
 
     def _take_region(self, index: int) -> None:
         try:

@@ -154,7 +154,7 @@ class ResultsPanel(QGroupBox):
         self.valid_for.say(self._valid_for())
         self.setVisible(record is not None)
         self.setEnabled(record is not None)
-        if record is None or record.state is None:
+        if record is None:
             self._shown_of = None
             return
         name = self._doc.name_of_other(record)

@@ -94,7 +94,6 @@ class AccuracyForecast(QObject):
     def __init__(self, doc: Document, dial: AccuracyDial, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._doc, self._choice = doc, doc.settings
-        self._told: Forecast | None = None  # that of the run, as it is shown
         self.noise = doc.settings.noise
         self.background = doc.background(lambda why: self.predicts.emit(f"no forecast: {why}"))
         for signal in (doc.image.changed, doc.cells_changed, doc.settings.changed):
@@ -159,7 +158,6 @@ class AccuracyForecast(QObject):
             self.background.drop()
             self._fitted = self._doc.image.key()
             self.noise.hold(True)
-            self._told = None
             self.predicts.emit("")
             self.last_run.emit("")
 
@@ -167,8 +165,7 @@ class AccuracyForecast(QObject):
         """Show the forecast of the run itself, which knows its surfaces and later changes."""
         forecast = self._doc.run.forecast
         whole = forecast.forecast if isinstance(forecast, RenewedForecast) else forecast
-        if whole is not self._told and isinstance(whole, Forecast):
-            self._told = whole
+        if isinstance(whole, Forecast):
             self.predicts.emit(predicted(whole))
 
     def _ended(self) -> None:

@@ -47,7 +47,6 @@ class TrackPanel(QGroupBox):
         self._words = "", ""  # how the run that is shown ended, and its verdict
         self.layers: TrackLayers | None = None
         self._seeds: list[Any] = []  # layers that the run started from
-        self._frame = 0  # whose cells the table has
         tip = (
             "Fit the time shown from the seeds, and every later one from the one before. Cells "
             "keep their numbers. Times that are tracked already stay until the first new one is "
@@ -319,7 +318,6 @@ class TrackPanel(QGroupBox):
         elif result.mesh is None:
             self.frame.setText(for_window(result.message))
         else:
-            self._frame = result.frame
             self.table.show_rows(measure_cells(result.mesh), layers.frame.length)
             self.table.show_swatches(layers.contours.colours_of)
             told = [*(event.text for event in result.events), result.message]
@@ -328,9 +326,9 @@ class TrackPanel(QGroupBox):
             self.frame.setText(for_window("; ".join(filter(None, told))))
 
     def _chosen(self, regions: tuple[int, ...], by_hand: bool) -> None:
-        """Go to the cell chosen last, at the time of its row."""
+        """Go to the cell chosen last."""
         if self.layers is not None and by_hand and regions:
-            self.layers.go_to_frame(self._frame, self.table.center(regions[-1]))
+            self.layers.go_to_frame(self.layers.number, self.table.center(regions[-1]))
 
     def _ask_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder for all times")
