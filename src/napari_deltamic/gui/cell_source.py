@@ -70,10 +70,7 @@ def seeds_from_layer(
         return _points(layer, frame, point, spheres=spheres)
     if isinstance(layer, Labels):
         return _labels(layer, frame, step, shape, copied=copied)
-    if isinstance(layer, Surface):
-        surface = mesh_of_surface(layer, frame, point)
-        return MeshSeeds(surface, unchanged_file(layer, frame))
-    raise InputError(f"'{layer.name}' is no Points, Labels or Surface layer")
+    return MeshSeeds(mesh_of_surface(layer, frame, point), unchanged_file(layer, frame))
 
 
 def is_empty(layer: Any, point: tuple[float, ...] = ()) -> bool:
@@ -136,8 +133,6 @@ def _points(layer: Any, frame: Frame, point: tuple[float, ...], *, spheres: bool
     data = np.asarray(layer.data, float)
     if not len(data):
         raise InputError(f"layer '{layer.name}' has no points yet: click inside each cell")
-    if data.shape[1] < 3:
-        raise InputError(f"layer '{layer.name}' is 2D; seeds need three coordinates")
     shown = at_time(layer, data, point)
     if not shown.any():
         raise InputError(f"layer '{layer.name}' has no points at this time point")

@@ -14,7 +14,7 @@ from ...errors import InputError
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
 from ...results.session_parts import SavedImage, SavedLayer, SavedTracks
-from ..cell_source import SEED_LAYERS, at_time, seed_kind, shown_surface
+from ..cell_source import at_time, seed_kind, shown_surface
 from ..viewing import own_layers
 from ..viewing.cell_layers import FILE
 from ..viewing.colours import side_values, surface_look
@@ -62,9 +62,6 @@ def save_layer(
 
     Of labels, the region of the image that is fitted.
     """
-    if not isinstance(layer, SEED_LAYERS):
-        kind = type(layer).__name__
-        raise InputError(f"layer '{layer.name}' is of a kind that cannot be saved: {kind}")
     of, found, place = seed_kind(layer), _arrays(layer, step, point), _place(layer)
     if of is Labels and frame is not None and frame.box is not None:
         region = frame.region(layer, found["data"].shape)

@@ -172,8 +172,6 @@ class TrackPanel(QGroupBox):
     def _start(self) -> None:
         image = self._doc.image
         layer, frame = image.layer, image.frame()
-        if layer is None or layer.ndim != 4:
-            raise InputError("tracking needs an image over time (T, Z, Y, X)")
         data = data_of(layer)
         first, stop = int(self._doc.viewer.dims.current_step[-4]), len(data)
         if stop < 2:
