@@ -145,8 +145,6 @@ class ImageSource(LayerChoice):
 
     def take_channel(self, whole: Any, choice: Choice) -> None:
         """Show one channel of a layer as its own layer, instead of all channels or another one."""
-        if whole is None or whole not in self._viewer.layers:
-            return
         of = weakref.ref(whole), choice
         known = (layer for layer in self._viewer.layers if self._taken.get(layer) == of)
         layer = next(known, None)
