@@ -185,7 +185,7 @@ class Work(QObject):
         task = self.task
         if task is not None:
             task.stop()
-            self.looked.emit()
+            self.looked.emit()  # whoever shows the task says so at once
             if task.gives_way:
                 self._end(task, None)
 
