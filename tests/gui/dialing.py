@@ -7,7 +7,7 @@ from .conftest import SIZE
 
 def settled(widget):
     later, forecast = widget.seeds._later, widget.settings.forecast.background
-    return lambda: not (later.isActive() or widget.seeds.preview.background.busy or forecast.busy)
+    return lambda: not (later.busy or widget.seeds.preview.background.busy or forecast.busy)
 
 
 def running(widget):

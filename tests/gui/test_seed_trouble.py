@@ -71,7 +71,9 @@ def test_an_image_that_is_removed_while_a_preview_is_computed(
     gate, calls = held
     add_points(panel, with_image, CENTER)
     spin(lambda: calls == [1])
-    monkeypatch.setattr(panel._later, "start", lambda: None)  # the preview is not asked anew yet
+    monkeypatch.setattr(
+        panel._later, "soon", lambda *asked: None
+    )  # the preview is not asked anew yet
     del with_image.layers["cell"]
     gate.set()
     spin(lambda: not panel.preview.background.busy)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -24,7 +23,6 @@ from ..viewing.listening import Connections
 from ..viewing.own_layers import Points as SeedPoints
 from ..viewing.own_layers import cut_by_slices
 from ..widgets import Note, button, narrow_box, row, slider
-from ..work import one_shot
 from .corrections import Corrections
 from .find_cells_button import FindCells
 from .preview import Preview
@@ -49,7 +47,7 @@ class SeedsPanel(QGroupBox):
         self._used = False  # whether a result that started from them is shown
         self._make_fields()
         self._lay_out()
-        self._later = one_shot(self, self._look, _WAIT)
+        self._later = doc.background(doc.warned.emit)
         self._connect()
         self._image_changed()
         self._layers_chosen()
@@ -132,7 +130,7 @@ class SeedsPanel(QGroupBox):
         for layer in self._viewer.layers:
             if isinstance(layer, Points) and str(layer.mode) == "add":
                 layer.mode = "pan_zoom"
-        self._later.stop()
+        self._later.drop()
         if not keep_preview:
             self.preview.clear()
         self._show()
@@ -156,8 +154,6 @@ class SeedsPanel(QGroupBox):
     def _close(self) -> None:
         self._added = None
         self._of_layers.undo()
-        with suppress(RuntimeError):  # the window may have gone before
-            self._later.stop()
         self.remarks.forget()
 
     # ------------------------------------------------------------------------------------ fields
@@ -276,7 +272,7 @@ class SeedsPanel(QGroupBox):
             self._time = time
             self.cells.be_told()
             if not self._used:
-                self._later.start()
+                self._later.soon(self._look, _WAIT)
 
     def _shape_chosen(self, text: str) -> None:
         self.cells.be_spheres(text == _SPHERES)
@@ -287,7 +283,7 @@ class SeedsPanel(QGroupBox):
     def _show_soon(self, event: Any = None) -> None:
         self._used = False
         self.cells.be_told()
-        self._later.start()
+        self._later.soon(self._look, _WAIT)
 
     def _remarked(self, warning: Warning) -> None:
         """Keep a remark on what was left out of, or repaired in, the cells until these change."""
