@@ -316,9 +316,9 @@ def test_time_that_a_fit_was_paused_does_not_count(seeded, spin, endless, monkey
         elapsed.append(seconds)
         return 1.0
 
-    monkeypatch.setattr(
-        run_control, "expected", lambda job: SimpleNamespace(remaining_seconds=remaining, levels=())
-    )
+    found = SimpleNamespace(kind="", remaining_seconds=remaining, levels=())
+    found.after = lambda earlier: found
+    monkeypatch.setattr(run_control, "expected", lambda job: found)
     seeded.start()
     spin(lambda: elapsed and elapsed[-1] > 0)
     pause(seeded, spin)

@@ -278,7 +278,8 @@ def test_remaining_time_is_told_where_it_is_known(begun, spin, monkeypatch):
     text = begun.footer.message.text
     for left in (42.0, None):
         known = left is not None
-        found = SimpleNamespace(remaining_seconds=lambda *course, left=left: left)
+        found = SimpleNamespace(kind="", remaining_seconds=lambda *course, left=left: left)
+        found.after = lambda earlier, found=found: found
         monkeypatch.setattr(run_control, "expected", lambda job, found=found: found)
         begun.start()
         spin(lambda: text().endswith("a second"))
