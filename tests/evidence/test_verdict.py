@@ -66,6 +66,7 @@ def test_a_fit_without_fault_is_good():
         ({"nuclei": True}, "fair", "a dim middle was taken for a dark nucleus"),
         ({"lit": True}, "fair", "subtracted as a local background, only roughly known"),
         ({"leans": True}, "fair", "through a tilted PSF"),
+        ({"blurred_deep": True}, "fair", "through a widefield PSF"),
         (
             {"slices": SlicesApart(shift=0.43)},
             "fair",
@@ -231,6 +232,7 @@ def test_one_bad_cell_spoils_no_other_and_is_named():
         ("nuclei", {"nuclei": True}),
         ("lit", {"lit": True}),
         ("leans", {"leans": True}),
+        ("blurred_deep", {"blurred_deep": True}),
         ("widths", {"widths": {"across": 0.6}}),
         ("widths", {"widths": {"across": 1.5}}),
         ("narrow", {"narrow": True}),

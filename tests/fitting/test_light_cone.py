@@ -595,3 +595,33 @@ def test_a_rival_is_dropped_before_it_is_posed_anew():
         objective, taken = descend_and_pose_anew(Slow())  # to the end, where it is posed anew
     assert heard == ["comparing models"] * RIVALS.steps
     assert (objective, taken, len(posed)) == (posed[-1], 18, 4)
+
+
+@pytest.mark.parametrize(
+    ("along", "structure", "said", "first", "begins"),
+    [
+        (1.9, "interior", "auto", 0.5, True),
+        (1.7, "interior", "auto", 0.5, False),
+        (1.9, "both", "auto", 0.5, False),
+        (1.9, "interior", "interior", 0.5, False),
+        (1.9, "interior", "auto", None, False),
+    ],
+)
+def test_insides_behind_a_long_gaussian_begin_anew_in_a_light_cone(
+    along, structure, said, first, begins
+):
+    """Not where the first width was no more than a default, or someone said what is labelled."""
+    grid = nd.Grid((8, 8, 8), (0.3, 0.2, 0.2))
+    sigma = (first, 0.3, 0.3) if first else (0.36, 0.24, 0.24)
+    fitted = SimpleNamespace(
+        optics=nd.GaussianPSF((along * sigma[0], 0.3, 0.3)),
+        first_optics=nd.GaussianPSF(sigma),
+        structure=structure,
+    )
+    settings = FitSettings(structure=said)
+    terms = SimpleNamespace(settings=settings, second=None, level=SimpleNamespace(grid=grid))
+    found = light_cone.widefield_anew(terms, fitted)
+    assert (found is not None) is begins
+    if begins:
+        assert isinstance(found, nd.ScalarPSF)
+        assert found.fitted == ("na", "wavelength")

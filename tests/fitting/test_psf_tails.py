@@ -198,10 +198,12 @@ def test_steps_end_where_they_gain_too_little(monkeypatch, shares, stops):
 def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
     asked = []
     kinds = ["tilt_instead", "objective_instead", "tails_instead", "local_background_instead"]
+    there = "napari_deltamic.fitting.successor"
+    monkeypatch.setattr(f"{there}.widefield_anew", lambda terms, fitted: None)
     for name in kinds:
         nothing = (None, 1.0, 3) if name == "tilt_instead" else (None, 3)
         answer = lambda *given, name=name, nothing=nothing: asked.append(name) or nothing  # noqa: E731
-        monkeypatch.setattr(f"napari_deltamic.fitting.successor.{name}", answer)
+        monkeypatch.setattr(f"{there}.{name}", answer)
     spent = []
     for tried, expected in [(0, 4), (1, 3), (2, 2), (3, 1), (4, 0)]:
         asked.clear()
@@ -223,7 +225,11 @@ def test_tails_are_asked_after_an_objective_and_each_once(monkeypatch):
 
 def test_a_fit_with_tails_goes_on_where_the_steps_ended(monkeypatch):
     tailed = Seen(TAILED), 3
-    nothing = {"tilt_instead": (None, 1.0, 3), "objective_instead": (None, 3)}
+    nothing = {
+        "tilt_instead": (None, 1.0, 3),
+        "objective_instead": (None, 3),
+        "widefield_anew": None,
+    }
     answers = {**nothing, "tails_instead": tailed}
     for name, answer in answers.items():
         there = f"napari_deltamic.fitting.successor.{name}"

@@ -152,6 +152,8 @@ class Facts:
     leans
         Whether, through a tilted PSF, insides shine alone, or both do and its tails are not
         known, and nobody said what is labelled.
+    blurred_deep
+        Whether insides shine alone through a widefield PSF, and nobody said what is labelled.
     accuracy
         Relative error that the rendered images might have.
     oblong
@@ -182,6 +184,7 @@ class Facts:
     nuclei: bool = False
     lit: bool = False
     leans: bool = False
+    blurred_deep: bool = False
     accuracy: float = 0.0
     oblong: tuple[float, float] | None = None
     followed: float | None = None

@@ -170,6 +170,14 @@ def _leans(fit: Facts) -> Reason | None:
     return Reason("leans", "fair", f"{text} is labelled (--structure)")
 
 
+def _blurred_deep(fit: Facts) -> Reason | None:
+    """In a widefield stack, a membrane was taken for a ring of insides: 98 % explained, 1.3 off."""
+    if not fit.blurred_deep:
+        return None
+    text = "through a widefield PSF, insides look like membranes further in: say what is labelled"
+    return Reason("blurred_deep", "fair", f"{text} (--structure)")
+
+
 # Of these, cells tell themselves how well they are explained and how far they may still move; and
 # dim cells are not saturated.
 FIT_CHECKS: tuple[FitCheck, ...] = (_unfinished, _explained, _saturated)
@@ -194,4 +202,5 @@ SHARED_CHECKS: tuple[FitCheck, ...] = (
     _nuclei,
     _lit,
     _leans,
+    _blurred_deep,
 )

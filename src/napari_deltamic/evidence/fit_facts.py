@@ -22,7 +22,7 @@ from ..fitting.voxels.necks import beyond_necks
 from ..fitting.voxels.voxel_ownership import surface_shares
 from ..geometry.border import cut_cells
 from ..geometry.mesh import Mesh
-from ..optics import GaussianPSF
+from ..optics import GaussianPSF, ScalarPSF
 from ..optics.narrow import narrower_than_told
 from ..scene.effects import Halo
 from ..scene.render import offset
@@ -76,6 +76,7 @@ def facts_of(
     single = job.second is None and single_slice(pixels)
     narrow = narrower_than_told(state.optics.sigma_um, size)
     images = _Images(image, seen, shown)
+    untold = job.settings.fit.structure == "auto"
     return Facts(
         finished=state.converged,
         explained=left.explained,
@@ -94,7 +95,8 @@ def facts_of(
         alone=state.unsure and state.light.membrane > 0,
         nuclei=state.dimmed is not None,
         lit=state.local_background is not None,
-        leans=job.settings.fit.structure == "auto" and _leans(state),
+        leans=untold and _leans(state),
+        blurred_deep=untold and isinstance(state.optics, ScalarPSF) and not state.light.membrane,
         accuracy=job.settings.fit.image_accuracy,
         oblong=oblong(size),
         followed=_followed(job, state, seen),

@@ -27,6 +27,7 @@ from .rivals.light_cone import (
     is_plain,
     objective_instead,
     spherical_of,
+    widefield_anew,
 )
 from .rivals.lit_surroundings import IS_LIT, explains_more_beside, local_background_instead
 from .rivals.psf_tails import HAS_TAILS, tails_instead
@@ -156,6 +157,8 @@ def _with_another_psf(run: Run) -> tuple[Run | None, bool]:
     if run.stage.tried < _OBJECTIVE:
         optics, taken = objective_instead(*given, left**_TWICE)
         run.spend(taken)
+        if optics is None and not run.stage.edited:
+            optics = widefield_anew(run.terms, run.fitted)
         if optics is not None:
             return (None if run.stage.edited else _through(run, optics)), True
     if tilted is not None:

@@ -67,6 +67,10 @@ class LightConeRules:
         widefield stacks (6 to 10,000 photons, some with light inside or around), 13 to 55 in
         confocal ones of 30 photons and more without a haze, more with Gaussian PSFs as long. With a
         confocal one: 0.9 to 1.6 times in four confocal stacks.
+    longer
+        Times as long as the spectrum told: a Gaussian that insides alone have made so long stands
+        in for a cone. Measured in 190 random scenes: 1.97 to 3.9 in four such fits, 0.6 to 2.7
+        voxels off, all but one of widefield stacks; at most 1.6 in others of insides alone.
     legs
         How often one is followed as far again, while it leaves too much, and would not if it
         gained as much again. Measured on eight nuclei under 0.76 rad of spherical aberration: a
@@ -78,6 +82,7 @@ class LightConeRules:
     much: float = 0.3
     far: float = 2.0
     hopeless: float = 30.0
+    longer: float = 1.8
     legs: int = 2
 
 
@@ -159,6 +164,23 @@ def objective_instead(
         del rival
     # One that explains less than what is too narrow would stand in for that.
     return found if enough <= narrow else None, taken
+
+
+def widefield_anew(terms: Terms, fitted: Fitted) -> ScalarPSF | None:
+    """A widefield PSF with which a fit may begin anew, though it explains no more where that ended.
+
+    Where insides alone have made the Gaussian much longer than the spectrum told, they stand in for
+    membranes in a light cone, further in: from there, a few steps lead to neither. Such a fit of
+    five cells in a widefield stack was 2.2 voxels off, and the one that begins anew is 0.3 off.
+    None where that is not so, or where someone said what is labelled.
+    """
+    first, size = fitted.first_optics, terms.level.grid.voxel_size
+    if terms.settings.structure != "auto" or fitted.structure != "interior":
+        return None
+    if not may_change(terms, fitted) or _is_default(first.sigma_um, size):
+        return None
+    long = fitted.optics.sigma_um[0] >= RULES.longer * first.sigma_um[0]
+    return widefield_of(first.sigma_um) if long else None
 
 
 def _where_to_begin(optics: Optics) -> float | None:
