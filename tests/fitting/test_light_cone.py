@@ -598,23 +598,24 @@ def test_a_rival_is_dropped_before_it_is_posed_anew():
 
 
 @pytest.mark.parametrize(
-    ("along", "structure", "said", "first", "begins"),
+    ("ratio", "structure", "said", "first", "begins"),
     [
-        (1.9, "interior", "auto", 0.5, True),
-        (1.7, "interior", "auto", 0.5, False),
-        (1.9, "both", "auto", 0.5, False),
-        (1.9, "interior", "interior", 0.5, False),
-        (1.9, "interior", "auto", None, False),
+        ((1.9, 1.0), "interior", "auto", 0.5, True),
+        ((1.7, 1.0), "interior", "auto", 0.5, False),
+        ((1.9, 0.9), "interior", "auto", 0.5, False),
+        ((1.9, 1.0), "both", "auto", 0.5, False),
+        ((1.9, 1.0), "interior", "interior", 0.5, False),
+        ((1.9, 1.0), "interior", "auto", None, False),
     ],
 )
 def test_insides_behind_a_long_gaussian_begin_anew_in_a_light_cone(
-    along, structure, said, first, begins
+    ratio, structure, said, first, begins
 ):
     """Not where the first width was no more than a default, or someone said what is labelled."""
     grid = nd.Grid((8, 8, 8), (0.3, 0.2, 0.2))
     sigma = (first, 0.3, 0.3) if first else (0.36, 0.24, 0.24)
     fitted = SimpleNamespace(
-        optics=nd.GaussianPSF((along * sigma[0], 0.3, 0.3)),
+        optics=nd.GaussianPSF((ratio[0] * sigma[0], ratio[1] * sigma[1], ratio[1] * sigma[2])),
         first_optics=nd.GaussianPSF(sigma),
         structure=structure,
     )
