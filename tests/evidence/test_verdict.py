@@ -64,9 +64,9 @@ def test_a_fit_without_fault_is_good():
         ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
         ({"alone": True}, "fair", "insides alone may explain as much"),
         ({"nuclei": True}, "fair", "a dim middle was taken for a dark nucleus"),
-        ({"lit": True}, "fair", "subtracted as a local background, only roughly known"),
-        ({"leans": True}, "fair", "through a tilted PSF"),
-        ({"blurred_deep": True}, "fair", "through a widefield PSF"),
+        ({"lit": True}, "fair", "subtracted as a local background, a rough estimate"),
+        ({"leans": True}, "fair", "a tilted PSF's tails"),
+        ({"blurred_deep": True}, "fair", "in widefield"),
         (
             {"slices": SlicesApart(shift=0.43)},
             "fair",
@@ -157,10 +157,10 @@ def test_what_concerns_one_cell(change, grade, word):
     ("parts", "grade", "word"),
     [
         ((0.02, 0.0, 0.01), "good", "off by about 7 nm"),
-        ((0.5, 0.1, 0.1), "fair", "0.78 voxels, mostly from the noise"),
+        ((0.5, 0.1, 0.1), "fair", "0.78 voxels, mainly due to the noise"),
         ((0.1, 0.6, 0.1), "fair", "too few iterations"),
         ((0.1, 0.1, 0.1, 0.6), "fair", "triangles that are too large"),
-        ((0.1, 0.1, 0.1, 0.5, 0.6), "fair", "0.99 voxels, mostly from triangles"),
+        ((0.1, 0.1, 0.1, 0.5, 0.6), "fair", "0.99 voxels, mainly due to triangles"),
         ((0.1, 0.1, 0.1, 0.1, 2.0), "poor", "what the model lacks (light inside)"),
     ],
 )
@@ -306,10 +306,10 @@ def test_cells_that_are_no_better_have_the_usual_reason_with_them():
     cut = CellFacts(1, 0.9, cut=True)
     cells = (cut, *(CellFacts(k, 0.9, cut=True, lit=0.1 + 0.05 * k) for k in (2, 3)))
     (reason,) = judged(replace(FINE, cells=cells)).reasons[1:]
-    told = "like cell 2: only 20% of its surface is bright: the rest is a guess"
+    told = "as with cell 2: only 20% of its surface is bright: the rest is a guess"
     assert reason == Reason("cells", "poor", f"cells 2 and 3 are poor ({told})")
     some = judged(replace(FINE, cells=(cut, CellFacts(2, 0.6), CellFacts(3, 0.7)))).reasons
-    told = "most often like cell 2: 60% of the signal around it is explained"
+    told = "mostly as with cell 2: 60% of the signal around it is explained"
     assert texts(some) == (f"cells 1, 2 and 3 are fair ({told})",)
 
 

@@ -153,7 +153,7 @@ def test_a_change_that_the_image_speaks_against_is_undone(look, monkeypatch):
     assert states[-1].converged
     told = [e for s in states for e in s.events]
     # What was only tried is not told of where nothing came of it.
-    undone = ["cells fell apart", "undone, as the image speaks against it"]
+    undone = ["cells fell apart", "undone: the image contradicts it"]
     assert told == (undone if look == "pressing" else [])
 
 

@@ -49,9 +49,9 @@ def _off(cell: CellFacts, fit: Facts) -> Reason | None:
     shares = predicted.shares()
     most = max(shares, key=lambda name: shares[name])
     part = _PARTS[most].format(lacks=fit.error.lacks)
-    text = f"its surface is off by about {off:.2g} voxels, mostly from {part}"
+    text = f"its surface is off by about {off:.2g} voxels, mainly due to {part}"
     if most == "alternative" and fit.error.lacks == LIGHT_OF_MEMBRANES:
-        text += ": do membranes shine? If not, say so (try --structure interior)"
+        text += ": if membranes do not shine, say so (try --structure interior)"
     return Reason("off", fair_if(off <= RULES.error_fair), text)
 
 
@@ -206,8 +206,8 @@ def _outgrowth(cell: CellFacts, fit: Facts) -> Reason | None:
 def _neck(cell: CellFacts, fit: Facts) -> Reason | None:
     if cell.beyond_neck is None:
         return None
-    text = f"it has grown through a neck to {_um(cell.beyond_neck)}: is there another cell? Then"
-    return Reason("neck", "fair", f"{text} give it a seed")
+    text = f"it has grown through a neck to {_um(cell.beyond_neck)}: if another cell is there, give"
+    return Reason("neck", "fair", f"{text} it a seed")
 
 
 def _of_its_light(share: float) -> str:

@@ -158,23 +158,23 @@ def _nuclei(fit: Facts) -> Reason | None:
 def _lit(fit: Facts) -> Reason | None:
     if not fit.lit:
         return None
-    text = "light around the cells was subtracted as a local background, only roughly known"
-    return Reason("lit", "fair", f"{text}: look at the contours")
+    text = "light around the cells was subtracted as a local background, a rough estimate"
+    return Reason("lit", "fair", f"{text}: check the contours")
 
 
 def _leans(fit: Facts) -> Reason | None:
     """Two such stacks of insides with membranes ended as insides, 0.6 and 1.4 voxels off."""
     if not fit.leans:
         return None
-    text = "through a tilted PSF, its tails and light of membranes are hardly told apart: say what"
-    return Reason("leans", "fair", f"{text} is labelled (--structure)")
+    text = "a tilted PSF's tails look like light of membranes: say which parts of the cells are"
+    return Reason("leans", "fair", f"{text} labelled (--structure)")
 
 
 def _blurred_deep(fit: Facts) -> Reason | None:
     """In a widefield stack, a membrane was taken for a ring of insides: 98 % explained, 1.3 off."""
     if not fit.blurred_deep:
         return None
-    text = "through a widefield PSF, insides look like membranes further in: say what is labelled"
+    text = "in widefield, interiors look like membranes further in: say which are labelled"
     return Reason("blurred_deep", "fair", f"{text} (--structure)")
 
 

@@ -143,8 +143,8 @@ def _usual_reason(cells: Sequence[CellVerdict]) -> str:
     text = first.reasons[0].text
     if len(cells) == 1:
         return text
-    often = "" if len(alike) == 1 else "most often "
-    return f"{often}like cell {first.region}: {text}"
+    often = "" if len(alike) == 1 else "mostly "
+    return f"{often}as with cell {first.region}: {text}"
 
 
 def _named(cells: Sequence[CellVerdict]) -> str:

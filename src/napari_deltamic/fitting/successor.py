@@ -37,15 +37,13 @@ from .surface.topology import TopologyPolicy
 from .voxels.ground_again import ground_again
 from .voxels.letting_go import let_neighbours_go
 
-OWN_LIGHT = (
-    "light that was assigned to other objects is the cell's own: the fit goes on with more voxels"
-)
+OWN_LIGHT = "light assigned to other objects belongs to a cell: the fit continues with it included"
 LET_GO = (
-    "a part that had grown through a neck is cut off as another object: if it belongs to the cell, "
-    "let the seed reach into it"
+    "a part beyond a neck was cut off as another object: if it is the cell's, start again with a "
+    "seed that reaches into it"
 )
 BACK = "the new PSF explains less: the fit goes back to the previous one"
-EVEN = "a local background gains too little: the fit uses an even one again"
+EVEN = "a local background helps too little: the fit returns to an even one"
 NARROW = "the new PSF is narrower than voxels can resolve: the fit goes back to the previous one"
 
 # Times what the former fit leaves: trials at rest cannot make up for more. Chosen; on 6 scenes and

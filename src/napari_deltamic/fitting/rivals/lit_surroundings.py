@@ -31,8 +31,8 @@ from .rival_structures import begun as objective_of
 from .rival_structures import stepped
 
 IS_LIT = (
-    "light around the cells is not their own, such as that of cytoplasm around nuclei: the fit "
-    "starts again with a local background"
+    "light around the cells is not theirs, like cytoplasm around nuclei: the fit restarts with a "
+    "local background"
 )
 
 

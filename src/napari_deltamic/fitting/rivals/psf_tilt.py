@@ -26,10 +26,10 @@ from .light_cone import share_left
 from .psf_tails import hopeless
 from .rival_structures import begun, stepped
 
-IS_TILTED = "the image shows a tilted PSF: the fit continues with a Gaussian PSF along other axes"
+IS_TILTED = "the image shows a tilted PSF: the fit continues with a tilted Gaussian PSF"
 HAS_HALO = (
-    "the image shows a tilted PSF with tails: the fit continues with a Gaussian PSF along other "
-    "axes and a halo"
+    "the image shows a tilted PSF with tails: the fit continues with a tilted Gaussian PSF and a "
+    "halo"
 )
 
 

@@ -136,7 +136,7 @@ class TopologyTrials:
                 self._events += made.events if trial.tried else ()
                 return restored.retriangulated(before.retriangulated(made.mesh, made.origin))
         elif not trial.tried:
-            self._events += ("undone, as the image speaks against it",)
+            self._events += ("undone: the image contradicts it",)
         return restored
 
     def _changed(
