@@ -71,6 +71,19 @@ def test_the_cell_stays_and_the_other_becomes_foreign():
     assert let_neighbours_go(further, CELL, ended(dumbbell())) is not None
 
 
+def test_a_neck_thinner_than_voxels_goes_too():
+    """Neither part holds a voxel of it: it would stay as a spike, half as long."""
+    size, beside = 0.1, np.array([2.3, 2.3, 6.2])
+    places = np.moveaxis(np.indices((48, 48, 88)), 0, -1) * size
+    balls = [np.linalg.norm(places - c, axis=-1) < r for c, r in ((MIDDLE, 1.4), (beside, 1.2))]
+    axis = np.linalg.norm(places[..., :2] - MIDDLE[:2], axis=-1)
+    neck = (axis < 0.12) & (places[..., 2] > 2.3) & (places[..., 2] < 6.2)
+    mesh = mesh_from_labels((balls[0] | balls[1] | neck).astype(np.int32), (size,) * 3)
+    _, cut = let_neighbours_go(problem(), CELL, ended(mesh))
+    assert cut.vertices_numpy()[:, 2].max() < 2.3 + 1.4 + 0.35  # the diagonal of a voxel
+    assert cut.volumes()[1] == pytest.approx(CELL.volumes()[1], rel=0.06)
+
+
 def test_what_the_start_had_stays():
     assert let_neighbours_go(problem(), dumbbell(), ended(dumbbell())) is None
     assert let_neighbours_go(problem(), CELL, ended(CELL)) is None

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
 
-from ...geometry.labels.label_repair import label_boxes
+from ...geometry.connected import sharing
 from ...geometry.mesh import OUTSIDE, FloatArray, Mesh
 from ...geometry.topology.crossings import crosses
 from ...geometry.topology.patches import Mask, cut_off
@@ -57,15 +58,21 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
 
 
 def _faces_beyond(mesh: Mesh, region: int, beyond: BeyondNecks, grid: Grid) -> Mask:
-    """(F,) bool: the faces of a cell that are nearest to its part beyond a neck."""
-    box = dict(label_boxes(beyond.cells))[region]
-    own = np.pad(beyond.cells[box] == region, 1)
-    lost = np.pad(beyond.parts[box] == region, 1)
+    """(F,) bool: the faces of a cell around its part beyond a neck, and those of the neck.
+
+    What is more than the diagonal of a voxel from the rest of the cell is thinner than voxels.
+    """
+    rows = np.flatnonzero((mesh.regions == region).any(1))
+    middles: FloatArray = mesh.vertices_numpy()[mesh.faces[rows]].mean(1)
     size, first = np.asarray(grid.voxel_size), np.asarray(grid.origin)
-    at = distance_transform_edt(~own, sampling=size, return_distances=False, return_indices=True)
-    middles: FloatArray = mesh.vertices_numpy()[mesh.faces].mean(1)
-    corner = np.array([side.start for side in box]) - 1
-    index = np.rint((middles - first) / size).astype(np.int64) - corner
-    index = np.clip(index, 0, np.array(own.shape) - 1)
-    found: Mask = lost[tuple(at[:, index[:, 0], index[:, 1], index[:, 2]])]
-    return found & (mesh.regions == region).any(1)
+    lost = beyond.parts == region
+    to_rest, to_lost = (
+        cKDTree(np.argwhere(part) * size + first).query(middles)[0]
+        for part in ((beyond.cells == region) & ~lost, lost)
+    )
+    nearer = to_lost < to_rest
+    away = nearer | (to_rest > np.linalg.norm(size))
+    number = sharing(mesh.face_edges()[rows[away]], len(mesh.edges()))
+    found = np.zeros(len(mesh.faces), bool)
+    found[rows[away]] = np.isin(number, number[nearer[away]])
+    return found
