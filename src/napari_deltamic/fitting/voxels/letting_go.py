@@ -17,10 +17,11 @@ from ...geometry.connected import sharing
 from ...geometry.mesh import OUTSIDE, FloatArray, Mesh
 from ...geometry.topology.crossings import crosses
 from ...geometry.topology.patches import Mask, cut_off
+from ...scene import Grid
 from ..model.fitted import Fitted
 from ..model.problem import Problem
 from .ground_again import RULES, with_ground
-from .necks import BeyondNecks, beyond_necks, within
+from .necks import BeyondNecks, beyond_necks
 from .voxel_ownership import surface_voxels
 
 
@@ -39,7 +40,7 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     beyond = beyond_necks(begun, mesh, grid, fitted.optics)
     sound, cut = not crosses(mesh), mesh
     for region in beyond.middles:
-        gone = _faces_beyond(cut, region, beyond)
+        gone = _faces_beyond(cut, region, beyond, grid)
         smaller = None if region in touching else cut_off(cut, region, gone)
         if smaller is None or (sound and crosses(smaller)):
             beyond.parts[beyond.parts == region] = 0
@@ -48,22 +49,22 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     if cut is mesh:
         return None
     size = np.asarray(grid.voxel_size) / np.asarray(fitted.optics.sigma_um)
-    own = distance_transform_edt(~surface_voxels(cut, beyond.grid), sampling=size)
+    own = distance_transform_edt(~surface_voxels(cut, grid), sampling=size)
     other = distance_transform_edt(beyond.parts == 0, sampling=size)
-    theirs = (own < other) | ((beyond.cells > 0) & (beyond.parts == 0))
-    counted = problem.counted & theirs[within(beyond.grid, grid)]
+    inside = (beyond.cells > 0) & (beyond.parts == 0)
+    counted = problem.counted & ((own < other) | inside)
     # That light is not asked for again, or the cell would grow into it again; it may let go twice.
     return with_ground(problem, counted, max(problem.anew + 1, RULES.times)), cut
 
 
-def _faces_beyond(mesh: Mesh, region: int, beyond: BeyondNecks) -> Mask:
+def _faces_beyond(mesh: Mesh, region: int, beyond: BeyondNecks, grid: Grid) -> Mask:
     """(F,) bool: the faces of a cell around its part beyond a neck, and those of the neck.
 
     What is more than the diagonal of a voxel from the rest of the cell is thinner than voxels.
     """
     rows = np.flatnonzero((mesh.regions == region).any(1))
     middles: FloatArray = mesh.vertices_numpy()[mesh.faces[rows]].mean(1)
-    size, first = np.asarray(beyond.grid.voxel_size), np.asarray(beyond.grid.origin)
+    size, first = np.asarray(grid.voxel_size), np.asarray(grid.origin)
     lost = beyond.parts == region
     to_rest, to_lost = (
         cKDTree(np.argwhere(part) * size + first).query(middles)[0]
