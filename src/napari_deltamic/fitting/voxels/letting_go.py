@@ -40,8 +40,9 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     beyond = beyond_necks(begun, mesh, grid, fitted.optics)
     sound, cut = not crosses(mesh), mesh
     for region in beyond.middles:
-        gone = _faces_beyond(cut, region, beyond, grid)
-        smaller = None if region in touching else cut_off(cut, region, gone)
+        smaller = None
+        if region not in touching:
+            smaller = cut_off(cut, region, _faces_beyond(cut, region, beyond, grid))
         if smaller is None or (sound and crosses(smaller)):
             beyond.parts[beyond.parts == region] = 0
         else:

@@ -67,7 +67,7 @@ def cap(places: FloatArray, loop: Sequence[int]) -> IntArray:
 
 
 def cut_off(mesh: Mesh, region: int, gone: Mask) -> Mesh | None:
-    """The mesh without a part of the surface of a cell; what remains is closed by a fan each.
+    """The mesh without a part of the surface of a cell; a fan of triangles closes each hole.
 
     None where that part leaves nothing, or its border touches itself.
 
