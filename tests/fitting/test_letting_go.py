@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import napari_deltamic as nd
+from napari_deltamic.errors import InputError
+from napari_deltamic.fitting.checkpoint import problem_in
 from napari_deltamic.fitting.model.fitted import Fitted
 from napari_deltamic.fitting.model.problem import Problem
 from napari_deltamic.fitting.successor import LET_GO
-from napari_deltamic.fitting.voxels.ground_again import RULES, ground_again
+from napari_deltamic.fitting.voxels.ground_again import RULES, ground_again, with_ground
 from napari_deltamic.fitting.voxels.letting_go import let_neighbours_go
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.labels.meshes import mesh_from_labels
@@ -93,12 +95,21 @@ def test_a_cell_that_touches_another_one_stays():
     assert let_neighbours_go(problem(), CELL, ended(dumbbell(third=2))) is None
 
 
-@pytest.mark.parametrize("anew", [None, RULES.times + 1])
-def test_voxels_that_are_given_or_were_asked_for_often_stay(anew):
-    assert let_neighbours_go(problem(anew), CELL, ended(dumbbell())) is None
+def test_voxels_that_are_given_stay():
+    assert let_neighbours_go(problem(None), CELL, ended(dumbbell())) is None
 
 
-def test_a_fit_that_grows_through_a_neck_goes_on_without_the_other():
+def test_neighbours_are_let_go_so_often_and_stay_foreign():
+    given, times = problem(), 0
+    while found := let_neighbours_go(given, CELL, ended(dumbbell())):
+        given, times = found[0], times + 1
+        assert given.let_go.max() == times
+        assert given.anew == 0  # light of cells is still asked for again
+        assert not with_ground(given, np.ones(GRID.shape, bool), 1).counted[given.let_go > 0].any()
+    assert times == RULES.times
+
+
+def test_a_fit_that_grows_through_a_neck_goes_on_without_the_other(tmp_path):
     """All voxels count, so the surface grows into the other cell."""
     given, everywhere = (image(), GRID, CELL, OPTICS), np.ones(GRID.shape, bool)
     settings = FitSettings(levels=(1.0,), structure="both")
@@ -106,3 +117,11 @@ def test_a_fit_that_grows_through_a_neck_goes_on_without_the_other():
     assert max(state.mesh.volumes()[1] for state in states) > 1.5 * CELL.volumes()[1]
     assert states[-1].mesh.volumes()[1] == pytest.approx(CELL.volumes()[1], rel=0.02)
     assert sum(LET_GO in state.message for state in states) == 1
+    # A checkpoint keeps what was let go.
+    states[-1].save(tmp_path / "kept.npz")
+    kept = dict(np.load(tmp_path / "kept.npz"))
+    given_once = problem_in(kept, problem())
+    assert given_once.let_go.max() == 1
+    np.testing.assert_array_equal(given_once.counted, states[-1].counted)
+    with pytest.raises(InputError, match="its neighbours are of another image"):
+        problem_in({**kept, "let_go": kept["let_go"][1:]}, problem())

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from napari_deltamic import GaussianPSF, Grid
-from napari_deltamic.fitting.voxels.necks import beyond_necks
+from napari_deltamic.fitting.voxels.necks import beyond_necks, widened, within
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.labels.meshes import mesh_from_labels
 
@@ -52,3 +52,21 @@ def test_what_the_start_had_is_meant():
 
 def test_a_part_that_the_image_hardly_shows_is_none():
     assert beyond_necks(START, cell(1.3), GRID, GaussianPSF(0.9)).middles == {}
+
+
+@pytest.mark.parametrize(("slices", "told"), [(43, True), (39, True), (34, False)])
+def test_a_ball_that_the_border_cuts_is_as_thick_beyond_it(slices, told):
+    """It counts if the image shows enough of it: here, all, most, and two slices."""
+    grid = Grid((40, 40, slices), GRID.voxel_size, GRID.origin)
+    found = beyond_necks(START, cell(1.3), grid, OPTICS)
+    assert (list(found.middles) == [1]) is told
+    assert found.parts.shape == found.grid.shape
+    assert found.parts[within(found.grid, grid)].shape == grid.shape
+
+
+def test_a_widened_grid_has_the_same_voxels():
+    wide = widened(GRID, OPTICS)
+    box = within(wide, GRID)
+    first = np.asarray(wide.origin) + [side.start for side in box] * np.asarray(wide.voxel_size)
+    assert first == pytest.approx(GRID.origin)
+    assert all(side.start > 0 for side in box)

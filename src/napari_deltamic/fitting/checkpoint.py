@@ -93,8 +93,10 @@ class Checkpoint:
         The voxels that may count, and how often they were found anew; the local background.
         """
         problem, found = self.problem, Arrays()
-        if problem is not None and problem.anew:
+        if problem is not None and problem.ground_changed:
             found |= {"counted": problem.counted, "anew": np.array(problem.anew)}
+        if problem is not None and problem.let_go is not None:
+            found["let_go"] = problem.let_go
         if problem is not None and problem.local_background is not None:
             found["local_background"] = problem.local_background
         return found
@@ -163,7 +165,10 @@ def problem_in(found: Arrays, given: Problem) -> Problem:
     counted = found["counted"]
     if counted.shape != given.counted.shape or counted.dtype != bool or "anew" not in found:
         raise InputError("the checkpoint is damaged: its voxels are of another image")
-    return with_ground(given, counted, int(found["anew"]))
+    let_go = found.get("let_go")
+    if let_go is not None and (let_go.shape != counted.shape or let_go.dtype != np.uint8):
+        raise InputError("the checkpoint is damaged: its neighbours are of another image")
+    return with_ground(replace(given, let_go=let_go), counted, int(found["anew"]))
 
 
 def _without(around: np.ndarray, given: Problem) -> Problem:

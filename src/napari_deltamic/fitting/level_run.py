@@ -382,7 +382,7 @@ class LevelRun:
             evaluations=stage.evaluations,
             unsure=stage.progress.unsure and fitted.structure != "membrane",
             dimmed=fitted.dimmed,
-            counted=problem.counted if problem.anew else None,
+            counted=problem.counted if problem.ground_changed else None,
             local_background=problem.local_background,
             grid=problem.grid,
             accuracy=at.settings.image_accuracy,

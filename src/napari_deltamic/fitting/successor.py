@@ -208,13 +208,15 @@ def resumed(run: Run, kept: Arrays) -> Run:
 def _on_ground(run: Run, problem: Problem, mesh: Mesh | None = None) -> Run:
     """The run that follows from here with other voxels that count, and with a mesh if one is given.
 
-    With two Gaussians, which come late, as it has ended: 20 real nuclei took 1.5 times as long
-    where all that may shine was asked for again, and were as near (mean Dice 0.948, 0.947 without).
+    As it has ended with a mesh, from which neighbours were let go: of six scenes, one was 0.52
+    voxel off, and 1.60 where all that may shine was asked for again, the others alike. And with
+    two Gaussians, which come late: 20 real nuclei took 1.5 times as long where all was asked for
+    again, and were as near (mean Dice 0.948, 0.947 without).
     """
     further, fitted = run.again(run.fitted.first_optics, problem=problem), run.fitted
     if mesh is not None:
         fitted = fitted.changed(Change(mesh=mesh), fitted.shape.model)
-    if isinstance(fitted.optics, GaussianMixturePSF):
+    if isinstance(fitted.optics, GaussianMixturePSF) or mesh is not None:
         further.go_on_at(fitted, all_shines=False, policy=run.checkpoint().policy)
     else:
         further.go_on_at(fitted.seen_through(fitted.first_optics), all_shines=True)

@@ -40,6 +40,9 @@ class Problem:
     anew
         How often it was found anew which voxels are foreign (:mod:`.ground_again`); None where that
         is given, and not to be found.
+    let_go
+        (Z, Y, X) uint8: in which letting go a voxel was let go as a neighbour's
+        (:mod:`..voxels.letting_go`), which it then stays; 0: in none. None: nothing was.
     frame
         Grid of the whole image, where this one is a piece of it.
     local_background
@@ -59,6 +62,7 @@ class Problem:
     foreign: np.ndarray | None = None
     hot: int = 0
     anew: int | None = None
+    let_go: NDArray[np.uint8] | None = None
     frame: Grid | None = None
     local_background: NDArray[np.float32] | None = None
 
@@ -66,6 +70,11 @@ class Problem:
         _check_enough(self.counted)
         if self.second is not None:
             _check_enough(self.second.known, "second view: ")
+
+    @property
+    def ground_changed(self) -> bool:
+        """Whether other voxels count than at the start."""
+        return bool(self.anew) or self.let_go is not None
 
     @classmethod
     def of(

@@ -33,7 +33,8 @@ class GroundRules:
         Chosen. Measured on a fish that was fitted from a PSF 0.4 times as wide: 0.33; none in 128
         other scenes but for one of thin cells.
     times
-        How often a fit goes on so, at most; chosen.
+        How often a fit goes on so, at most, and how often without neighbours
+        (:mod:`.letting_go`); chosen.
     """
 
     own: float = 0.1
@@ -73,7 +74,12 @@ def ground_again(problem: Problem, fitted: Fitted) -> Problem | None:
 
 
 def with_ground(problem: Problem, counted: NDArray[np.bool_], anew: int) -> Problem:
-    """The same with other voxels that count, found anew so often; the rest is foreign."""
+    """The same with other voxels that count, found anew so often; the rest is foreign.
+
+    Neighbours that were let go stay foreign.
+    """
     measured = problem.counted if problem.foreign is None else problem.counted | problem.foreign
     counted = measured & counted
+    if problem.let_go is not None:
+        counted &= problem.let_go == 0
     return replace(problem, counted=counted, foreign=measured & ~counted, anew=anew)

@@ -9,6 +9,8 @@ took half as long again and ended 0.62 voxel from its membranes, not 0.57).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
@@ -17,11 +19,10 @@ from ...geometry.connected import sharing
 from ...geometry.mesh import OUTSIDE, FloatArray, Mesh
 from ...geometry.topology.crossings import crosses
 from ...geometry.topology.patches import Mask, cut_off
-from ...scene import Grid
 from ..model.fitted import Fitted
 from ..model.problem import Problem
 from .ground_again import RULES, with_ground
-from .necks import BeyondNecks, beyond_necks
+from .necks import BeyondNecks, beyond_necks, within
 from .voxel_ownership import surface_voxels
 
 
@@ -31,7 +32,8 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     None where there is nothing of that kind that can be cut off: cells that touch another one stay
     as they are, as do those of which surfaces that cross would be left.
     """
-    if problem.anew is None or problem.anew > RULES.times:
+    before = problem.let_go
+    if problem.anew is None or (before is not None and before.max() >= RULES.times):
         return None
     mesh, grid = fitted.mesh, problem.grid
     touching = np.unique(mesh.regions[(mesh.regions != OUTSIDE).all(1)])
@@ -40,9 +42,8 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     beyond = beyond_necks(begun, mesh, grid, fitted.optics)
     sound, cut = not crosses(mesh), mesh
     for region in beyond.middles:
-        smaller = None
-        if region not in touching:
-            smaller = cut_off(cut, region, _faces_beyond(cut, region, beyond, grid))
+        gone = _faces_beyond(cut, region, beyond)
+        smaller = None if region in touching else cut_off(cut, region, gone)
         if smaller is None or (sound and crosses(smaller)):
             beyond.parts[beyond.parts == region] = 0
         else:
@@ -50,22 +51,23 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     if cut is mesh:
         return None
     size = np.asarray(grid.voxel_size) / np.asarray(fitted.optics.sigma_um)
-    own = distance_transform_edt(~surface_voxels(cut, grid), sampling=size)
+    own = distance_transform_edt(~surface_voxels(cut, beyond.grid), sampling=size)
     other = distance_transform_edt(beyond.parts == 0, sampling=size)
-    inside = (beyond.cells > 0) & (beyond.parts == 0)
-    counted = problem.counted & ((own < other) | inside)
-    # That light is not asked for again, or the cell would grow into it again; it may let go twice.
-    return with_ground(problem, counted, max(problem.anew + 1, RULES.times)), cut
+    ours = (own < other) | ((beyond.cells > 0) & (beyond.parts == 0))
+    # They stay foreign where the cells' own light is asked for again.
+    let_go = np.zeros(grid.shape, np.uint8) if before is None else before.copy()
+    let_go[~ours[within(beyond.grid, grid)]] = let_go.max() + 1
+    return with_ground(replace(problem, let_go=let_go), problem.counted, problem.anew), cut
 
 
-def _faces_beyond(mesh: Mesh, region: int, beyond: BeyondNecks, grid: Grid) -> Mask:
+def _faces_beyond(mesh: Mesh, region: int, beyond: BeyondNecks) -> Mask:
     """(F,) bool: the faces of a cell around its part beyond a neck, and those of the neck.
 
     What is more than the diagonal of a voxel from the rest of the cell is thinner than voxels.
     """
     rows = np.flatnonzero((mesh.regions == region).any(1))
     middles: FloatArray = mesh.vertices_numpy()[mesh.faces[rows]].mean(1)
-    size, first = np.asarray(grid.voxel_size), np.asarray(grid.origin)
+    size, first = np.asarray(beyond.grid.voxel_size), np.asarray(beyond.grid.origin)
     lost = beyond.parts == region
     to_rest, to_lost = (
         cKDTree(np.argwhere(part) * size + first).query(middles)[0]
