@@ -36,6 +36,7 @@ from .checked_image import checked_image, positive_size
 from .crowded_cells import crowded_cells, without_halves
 from .dark_walls import without_bright_walls, without_parted
 from .find_cells import WalledCells, walled_cells
+from .in_focus import in_focus
 from .label_repair import label_boxes
 from .region_merging import Labels
 from .solidity import mean_solidity
@@ -117,6 +118,8 @@ def cells_of(
 ) -> CellsFound:
     """Find the cells of an image, whether their membranes shine or their insides.
 
+    In widefield stacks, light that is out of focus is left out first, unless voxels are missing.
+
     Parameters
     ----------
     image : (Z, Y, X) array; NaN where missing.
@@ -129,6 +132,9 @@ def cells_of(
         For the same reasons as in :func:`~.find_cells.find_cells`.
     """
     data, known, voxel = checked_image(image, voxel_size)
+    sharper = in_focus(data, voxel) if known.all() else data
+    if sharper is not data:
+        image, data = sharper, checked_image(sharper, voxel_size)[0]
     size = None if size is None else positive_size(size)
     tried = suggest_sizes(image, voxel_size) if size is None else []
     asked = size or likeliest(tried, data.shape, voxel)

@@ -17,6 +17,7 @@ from ..refused import Refused
 from .basins import content_of, label_basins
 from .bright_ball import ball_at, bright_ball, stands_out
 from .hollow_ball import hollow_ball
+from .in_focus import in_focus
 from .label_repair import label_boxes
 from .voxels import depths, widened
 
@@ -47,14 +48,16 @@ def regions_at(
     that is found there without points; several points in a bright cell each get the part on their
     side of a neck. If neither is found, it is a ball that the point lies in, if its shell or all of
     it is clearly brighter than its surroundings and it reaches into no other region. Points
-    without any of these are returned as refused.
+    without any of these are returned as refused. In widefield stacks, light that is out of focus
+    is left out first.
     """
     labels, left = closed_regions(data, size, voxels, names)
+    sharper = in_focus(data, size)
     at = dict(zip(names, voxels, strict=True))
     for name in [k for k, one in left.items() if len(one.points) == 1]:
         if (labels == name).any():
             continue
-        for box, within in _balls(data, size, at[name]):
+        for box, within in _balls(sharper, size, at[name]):
             if not labels[box][within].any():  # else it may reach over them
                 labels[box][within] = name
                 del left[name]
@@ -78,10 +81,11 @@ def closed_regions(
     data: FloatArray, size: FloatArray, voxels: IntArray, names: list[int]
 ) -> tuple[Labels, dict[int, Refused]]:
     """Like :func:`regions_at`, without balls; also return the points without a region, by name."""
-    labels, refused = label_basins(data, size, voxels, names)
+    sharper = in_focus(data, size)
+    labels, refused = label_basins(sharper, size, voxels, names)
     at = {name: tuple(voxel) for name, voxel in zip(names, voxels.tolist(), strict=True)}
     why = {one.points[-1]: one for one in refused}
-    smooth = ndimage.gaussian_filter(data, float(size.min()) / size, mode="nearest")
+    smooth = ndimage.gaussian_filter(sharper, float(size.min()) / size, mode="nearest")
     bright, dim = _in_bright(smooth, labels, at), _hardly_dark(smooth, labels)
     found = _cells(data, size) if bright or dim or why else None
     if found is None:

@@ -1,0 +1,90 @@
+"""Widefield stacks without most of the light that is out of focus.
+
+In a widefield stack, each slice holds all of the light: what is out of focus is blurred, not less.
+So no dark ground lies above and below cells, and what closes around a point there is their light
+cone. Such light is smooth within slices, and subtracting a wide blur of each slice removes most of
+it ("unsharp masking").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
+
+from ...common.kept import Kept
+from ..mesh import FloatArray
+from .basins import content_of
+
+Image = TypeVar("Image", bound=NDArray[np.floating[Any]])
+
+
+@dataclass(frozen=True)
+class FocusRules:
+    """When a stack is a widefield one, and what is out of focus there. Lengths are in voxels.
+
+    Attributes
+    ----------
+    lasts
+        Light of the dimmest slice over that of the brightest, less contrast of fine detail in the
+        least sharp slice over that in the sharpest: at least. Measured: 0.38 to 0.71 in 28
+        simulated groups of cells in widefield but for one of 0.31 and one of 0.07, 0.42 and more in
+        four kinds of the suite; in 69 of 74 other random scenes up to 0.32, in three of a haze that
+        is equally strong everywhere 0.5 and more.
+    detail
+        Standard deviations of the Gaussians between which detail lies. Chosen: of noise, and of
+        cells of 8 voxels across.
+    blur
+        Standard deviation, within slices, of the Gaussian that is subtracted. Measured on 91 points
+        in cells of 4 to 13 voxels in radius, with an intersection over union of more than 0.5 with
+        the cell: 71 with 3 (9 without), 67 with 2, 67 with 4, and 53 with 6.
+    slices
+        Fewer are left as they are. Chosen.
+    """
+
+    lasts: float = 0.35
+    detail: tuple[float, float] = (1.5, 6.0)
+    blur: float = 3.0
+    slices: int = 5
+
+
+RULES = FocusRules()
+_GROUND = 1.0  # percentile that counts as dark; chosen
+_ANSWERS: Kept[bool] = Kept(4)  # for the last images, since every click asks again
+
+
+def in_focus(data: Image, size: FloatArray) -> Image:
+    """A widefield stack without most of what is out of focus; any other stack as it is.
+
+    Parameters
+    ----------
+    data : (Z, Y, X).
+    size : (3,) um, sides of a voxel.
+    """
+    if not _ANSWERS.get(content_of(data, size), lambda: is_widefield(data, size)):
+        return data
+    within = RULES.blur * size[1:].min() / size[1:]
+    sharper: Image = data - gaussian_filter(data, (0.0, *within))
+    return sharper
+
+
+def is_widefield(data: NDArray[np.floating[Any]], size: FloatArray) -> bool:
+    """Whether slices without detail hold nearly as much light as those with much.
+
+    In stacks that section optically, they hold less light, too.
+    """
+    if len(data) < RULES.slices:
+        return False
+    fine, coarse = RULES.detail
+    smooth = gaussian_filter(data, fine * size.min() / size)
+    ground = np.percentile(smooth, _GROUND)
+    light = gaussian_filter1d(data.mean((1, 2)), 1.0) - ground
+    within = coarse * size[1:].min() / size[1:]
+    detail = smooth - gaussian_filter(smooth, (0.0, *within))
+    sharp = gaussian_filter1d(np.sqrt((detail**2).mean((1, 2))), 1.0)
+    if light.max() <= 0 or sharp.max() <= 0:
+        return False
+    return bool(light.min() / light.max() - sharp.min() / sharp.max() > RULES.lasts)
