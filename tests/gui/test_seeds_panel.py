@@ -20,6 +20,7 @@ from napari_deltamic.geometry.labels.bright_cells import CellsFound
 from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.runs.command import command
 from napari_deltamic.runs.run_files import with_files
+from napari_deltamic.runs.seeds import seeds_of
 from napari_deltamic.runs.settings import NEAR_LEVELS
 
 from .conftest import CENTER, SHAPE, SIZE
@@ -138,6 +139,35 @@ def test_all_sources_mixed_give_regions_of_their_own(
     assert seeds.kind == "rough"
     panel.cells.choose(with_image.layers["start"], False)
     assert taken(panel).kind == "labels"
+
+
+@pytest.mark.parametrize(("radii", "spheres"), [(None, False), ((0.5, 0.7), True)])
+def test_points_of_a_file_are_seeds(panel, with_image, tmp_path, spin, radii, spheres):
+    """As the command takes them: where they lie, and as large."""
+    beside = np.add(CENTER, (0, 0.3, 0.3))
+    rows = np.column_stack([[CENTER, beside], *([] if radii is None else [radii])])
+    header = "z,y,x" if radii is None else "z,y,x,radius"
+    path = tmp_path / "cells.csv"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="")
+    panel.use_file(str(path))
+    spin(lambda: "cells" in with_image.layers)
+    found = taken(panel)
+    assert (panel.shape.currentIndex() == SPHERE) is spheres
+    asked = seeds_of(str(path))
+    np.testing.assert_allclose(found.places(grid_of(panel)), asked.points)
+    if spheres:
+        np.testing.assert_allclose(found.radii, radii)
+
+
+def test_radii_of_some_points_only_are_not_used(panel, with_image, tmp_path, spin):
+    path = tmp_path / "cells.csv"
+    path.write_text("z,y,x,radius\n1,1,1,0.5\n1,2,2,\n")
+    told = []
+    panel._doc.warned.connect(told.append)
+    panel.use_file(str(path))
+    spin(lambda: "cells" in with_image.layers)
+    assert panel.shape.currentIndex() == MEMBRANE
+    assert any("radii are not used" in text for text in told)
 
 
 def test_layers_that_are_empty_yet_do_not_disturb(panel, with_image, ball_labels):

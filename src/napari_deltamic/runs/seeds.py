@@ -31,6 +31,7 @@ from ..images.padding import without_padding
 from ..images.stacks import read_image, write_image
 from ..scene import Grid
 
+POINTS_FILE = ".csv"
 # How near to the membranes starting surfaces lie: "rough" for meshes and spheres, "labels", or
 # "image" where all are found in the image from points alone (neighbours without a point would
 # attract surfaces that start further away).
@@ -273,6 +274,20 @@ def _found(path: str, image: str) -> FoundSeeds:
     return FoundSeeds(size, path, (image, place[1:]) if place else None)
 
 
+def read_points(path: str) -> PointSeeds:
+    """Points of a CSV file, in um or as napari saves a layer.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read as such.
+    """
+    voxels = read_napari_points(path)
+    if voxels is not None:
+        return PointSeeds(voxels, None, path, in_voxels=True)
+    return PointSeeds(*read_points_csv(path), path)
+
+
 def seeds_of(path: str, image: str = "") -> Seeds:
     """Seeds from a file, by its extension: mesh, label image, or points; or from "auto", or
     "auto:12" for cells of about 12 um; or "auto@2", where nuclei in another channel mark them.
@@ -291,10 +306,7 @@ def seeds_of(path: str, image: str = "") -> Seeds:
         return MeshSeeds(load_mesh(path), path)
     if kind in IMAGE_FILES:
         return LabelSeeds(read_image(path)[0], path)
-    if kind == ".csv":
-        voxels = read_napari_points(path)
-        if voxels is not None:
-            return PointSeeds(voxels, None, path, in_voxels=True)
-        return PointSeeds(*read_points_csv(path), path)
-    known = ", ".join((*MESH_FILES, *IMAGE_FILES, ".csv"))
+    if kind == POINTS_FILE:
+        return read_points(path)
+    known = ", ".join((*MESH_FILES, *IMAGE_FILES, POINTS_FILE))
     raise InputError(f"{path}: unknown extension '{kind}' for seeds; known are {known}, or {AUTO}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from ...common.words import counted, sentence
 from ...errors import InputError, RepairWarning
 from ...geometry.formats import MESH_FILES_LISTED, MESH_FILTER
 from ...runs.seed_preview import usable
+from ...runs.seeds import POINTS_FILE, PointSeeds
 from ..document import Document
-from ..viewing.cell_layers import LoadedMesh, load_meshes, surface_layer
+from ..viewing.cell_layers import LoadedMesh, load_seeds, surface_layer
 from ..viewing.frame import Frame, chosen_of, made_by_fit
 from ..viewing.listening import Connections
 from ..viewing.own_layers import Points as SeedPoints
@@ -145,10 +147,10 @@ class SeedsPanel(QGroupBox):
                 layer.visible = False
 
     def use_file(self, *paths: str) -> None:
-        """Add mesh files as Surface layers, which are seeds like others, once they are read."""
+        """Add files of meshes and points as layers, which are seeds like others, once read."""
         self._reading.ask(
-            partial(load_meshes, list(paths)),
-            lambda meshes: self._doc.guarded(partial(self._place_meshes, meshes)),
+            partial(load_seeds, list(paths)),
+            lambda found: self._doc.guarded(partial(self._place_found, found)),
         )
 
     def _close(self) -> None:
@@ -167,8 +169,8 @@ class SeedsPanel(QGroupBox):
         )
         self.place = button("Click cells", tip, self.place_seeds, self)
         tip = (
-            f"Adds surfaces from {MESH_FILES_LISTED} files as layers; their coordinates are um "
-            "from the centre of the first voxel."
+            f"Adds surfaces from {MESH_FILES_LISTED} files and points from {POINTS_FILE} files "
+            "(z,y,x or z,y,x,radius) as layers; lengths are um from the centre of the first voxel."
         )
         self.open_file = button("From file...", tip, self._ask_file, self)
         self._reading = self._doc.background(self._doc.warned.emit)
@@ -318,16 +320,36 @@ class SeedsPanel(QGroupBox):
         self._show_soon()  # napari does not tell
 
     def _ask_file(self) -> None:
-        paths, _ = QFileDialog.getOpenFileNames(self, "Surfaces to start from", "", MESH_FILTER)
+        filters = f"{MESH_FILTER};;Points (*{POINTS_FILE})"
+        paths, _ = QFileDialog.getOpenFileNames(self, "Cells to start from", "", filters)
         if paths:
             self.use_file(*paths)
 
-    def _place_meshes(self, meshes: list[LoadedMesh]) -> None:
+    def _place_found(self, found: list[LoadedMesh | PointSeeds]) -> None:
         frame = self._image.frame()
-        for loaded in meshes:
+        for loaded in found:
+            if isinstance(loaded, PointSeeds):
+                self._place_points(loaded, frame)
+                continue
             self._viewer.add_layer(surface_layer(loaded, frame).lie_on(self._image.layer))
             for remark in loaded.remarks:
                 self._doc.warned.emit(remark)
+
+    def _place_points(self, seeds: PointSeeds, frame: Frame) -> None:
+        """Add points of a file as a layer: as spheres if all their radii are known."""
+        places, radii = seeds.places(frame.grid(self._image.shape())), seeds.radii
+        known = radii is not None and bool((np.nan_to_num(radii) > 0).all())
+        if known:
+            self.use_spheres(True)  # gives all layers the radius of the slider
+        elif radii is not None:
+            self._doc.warned.emit(f"{seeds.path}: radii are not used, as some points have none")
+        layer = self._new_points(frame)
+        layer.name = Path(seeds.path).stem
+        scale, shift = frame.data_to_um(layer)
+        layer.data = (places - shift) / scale
+        if known:
+            layer.size = 2 * np.asarray(radii) / float(np.mean(np.abs(scale)))
+        self._viewer.add_layer(layer)
 
     def _drawn_radius(self) -> float:
         """Radius to draw points with, um: that of spheres, or a small one over several slices."""

@@ -1,4 +1,4 @@
-"""Cells as layers: surfaces of mesh files, and labels with their measurements."""
+"""Cells as layers: meshes and points of files, and labels with their measurements."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 from ...errors import InputError, RepairWarning
 from ...geometry import Mesh, load_mesh
 from ...results.features import features_of
+from ...runs.seeds import POINTS_FILE, PointSeeds, read_points
 from .colours import surface_look, vertex_values
 from .frame import MADE_BY_FIT, ORIGIN, OWN, Frame
 from .own_layers import Surface
@@ -39,6 +40,12 @@ class LoadedMesh:
 def load_meshes(paths: list[str]) -> list[LoadedMesh]:
     """Read mesh files; InputError names the first that cannot be used."""
     return [_load(str(Path(path).absolute())) for path in paths]
+
+
+def load_seeds(paths: list[str]) -> list[LoadedMesh | PointSeeds]:
+    """The same of files of meshes or points."""
+    full = [str(Path(path).absolute()) for path in paths]
+    return [read_points(p) if p.lower().endswith(POINTS_FILE) else _load(p) for p in full]
 
 
 def surface_layer(loaded: LoadedMesh, frame: Frame) -> Surface:
