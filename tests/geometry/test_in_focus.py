@@ -6,7 +6,7 @@ import pytest
 import napari_deltamic as nd
 from napari_deltamic.geometry import labels_from_points, sphere
 from napari_deltamic.geometry.labels.bright_cells import cells_of
-from napari_deltamic.geometry.labels.in_focus import RULES, in_focus, is_widefield
+from napari_deltamic.geometry.labels.in_focus import RULES, have_rims, in_focus, is_widefield
 from napari_deltamic.geometry.labels.voxels import voxel_labels
 from napari_deltamic.optics import GaussianPSF, ScalarPSF
 from napari_deltamic.scene.light import Light
@@ -63,3 +63,10 @@ def test_a_few_slices_or_one_value_tell_nothing(widefield):
     assert is_widefield(widefield, SIZE)
     assert not is_widefield(widefield[: RULES.slices - 1], SIZE)
     assert not is_widefield(np.full((8, 8, 8), 3.0), SIZE)
+
+
+def test_a_gap_between_light_cones_has_no_rim():
+    image = seen(WIDEFIELD, Light(1.0, 0.0))
+    labels = voxel_labels(CELLS, GRID.shape, GRID.voxel_size).astype(np.int32)
+    labels[4:9, 40:52, 40:52] = 3
+    assert have_rims(labels, in_focus(image, SIZE), SIZE).tolist() == [True, True, False]

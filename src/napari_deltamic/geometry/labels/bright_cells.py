@@ -20,6 +20,7 @@ from scipy import ndimage
 from skimage.filters import threshold_li, threshold_otsu
 
 from ...errors import InputError
+from ..mesh import FloatArray
 from .bright_things import (
     Smoothed,
     bright_things,
@@ -35,8 +36,8 @@ from .cells_in_haze import cells_in_haze
 from .checked_image import checked_image, positive_size
 from .crowded_cells import crowded_cells, without_halves
 from .dark_walls import without_bright_walls, without_parted
-from .find_cells import WalledCells, walled_cells
-from .in_focus import in_focus
+from .find_cells import WalledCells, none_found, walled_cells
+from .in_focus import Image, have_rims, in_focus
 from .label_repair import label_boxes
 from .region_merging import Labels
 from .solidity import mean_solidity
@@ -133,7 +134,8 @@ def cells_of(
     """
     data, known, voxel = checked_image(image, voxel_size)
     sharper = in_focus(data, voxel) if known.all() else data
-    if sharper is not data:
+    widefield = sharper is not data
+    if widefield:
         image, data = sharper, checked_image(sharper, voxel_size)[0]
     size = None if size is None else positive_size(size)
     tried = suggest_sizes(image, voxel_size) if size is None else []
@@ -142,6 +144,8 @@ def cells_of(
     refused = None
     try:
         walled = walled_cells(image, voxel_size, asked)
+        if widefield:
+            walled = _not_between(walled, sharper, voxel, asked)
     except InputError as error:
         walled, refused = None, error
     seen = smoothed(data, known, voxel)
@@ -153,6 +157,16 @@ def cells_of(
         assert refused is not None, "what was not found was refused"
         raise refused
     return CellsFound(walled.labels, asked, False, tuple(tried[1:]))
+
+
+def _not_between(
+    walled: WalledCells, sharper: Image, voxel: FloatArray, size: float
+) -> WalledCells:
+    """Leave out the gaps between light cones; NoCellsFound if no cell is left."""
+    cells = walled.of(have_rims(walled.labels, sharper, voxel))
+    if not cells.surely.any():
+        raise none_found(size)
+    return cells
 
 
 def _instead(

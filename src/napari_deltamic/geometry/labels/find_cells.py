@@ -77,6 +77,10 @@ class WalledCells:
         numbers = np.append(0, np.where(self.surely, np.arange(1, len(self.surely) + 1), 0))
         return numbers.astype(np.int32)[self.labels]
 
+    def of(self, kept: NDArray[np.bool_]) -> WalledCells:
+        """Only some of the cells; kept : (n,)."""
+        return WalledCells(renumbered(self.labels, kept), self.surely[kept])
+
 
 def walled_cells(image: ArrayLike, voxel_size: Sequence[float], size: float) -> WalledCells:
     """Find the same cells as `find_cells`, and say which of them are sure.
@@ -91,11 +95,16 @@ def walled_cells(image: ArrayLike, voxel_size: Sequence[float], size: float) -> 
     seen = Seen(data, known, noise_magnitudes(data, known), voxel)
     found = without_gaps(*regions_of_size(seen, diameter, FINDING.finest))
     if not found.surely.any():
-        raise NoCellsFound(
-            f"no cells of about {diameter:g} um were found: try another size, or start from points "
-            "or labels"
-        )
+        raise none_found(diameter)
     return found
+
+
+def none_found(diameter: float) -> NoCellsFound:
+    """Return the error for cells of which there are none; diameter : um."""
+    return NoCellsFound(
+        f"no cells of about {diameter:g} um were found: try another size, or start from points or "
+        "labels"
+    )
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, mean
+from skimage.segmentation import find_boundaries
 
 from ...common.kept import Kept
 from ..mesh import FloatArray
@@ -43,12 +44,16 @@ class FocusRules:
         the cell: 71 with 3 (9 without), 67 with 2, 67 with 4, and 53 with 6.
     slices
         Fewer are left as they are. Chosen.
+    rim
+        Least mean at the border of a cell with walls in what is in focus, in standard deviations of
+        that. Measured in simulated groups: 2.5 and more in 27 cells, up to 1.1 in seven gaps.
     """
 
     lasts: float = 0.35
     detail: tuple[float, float] = (1.5, 6.0)
     blur: float = 3.0
     slices: int = 5
+    rim: float = 1.7
 
 
 RULES = FocusRules()
@@ -88,3 +93,14 @@ def is_widefield(data: NDArray[np.floating[Any]], size: FloatArray) -> bool:
     if light.max() <= 0 or sharp.max() <= 0:
         return False
     return bool(light.min() / light.max() - sharp.min() / sharp.max() > RULES.lasts)
+
+
+def have_rims(labels: NDArray[np.int32], sharper: Image, size: FloatArray) -> NDArray[np.bool_]:
+    """(n,) bool: which regions walls in focus surround; the others are gaps between light cones.
+
+    labels : (Z, Y, X), 1 to n. sharper : (Z, Y, X), see :func:`in_focus`.
+    """
+    smooth = gaussian_filter(sharper, size.min() / size)
+    rims = np.where(find_boundaries(labels, mode="inner"), labels, 0)
+    heights = np.asarray(mean(smooth, rims, np.arange(1, int(labels.max()) + 1)))
+    return heights >= RULES.rim * float(smooth.std())
