@@ -77,6 +77,18 @@ def test_labels_of_whole_cells_stay_what_they_are(kind, radius):
     assert (found == labels).all()
 
 
+@pytest.mark.parametrize("blur", [1.2, 2.0])
+def test_a_label_of_a_nucleus_that_ends_within_its_edge_is_not_the_cell(blur):
+    """The cytoplasm is 0.55 times as bright, and its border as steep as that of the nucleus."""
+    away = np.linalg.norm(np.moveaxis(np.indices((56,) * 3), 0, -1) - 28, axis=-1)
+    light = gaussian_filter(0.45 * (away < 11) + 0.55 * (away < 23), blur)
+    image = np.random.default_rng(0).poisson(6 + 42 * light).astype(float)
+    labels = (away < 0.92 * 11).astype(np.int32)
+    found, names = whole_cells(image, labels, SIZE)
+    assert names == []
+    assert (found == labels).all()
+
+
 def test_a_label_that_lacks_one_side_stays():
     """The fit finds the rest (:mod:`.missed_parts`)."""
     labels = numbered(RADIUS)
