@@ -216,6 +216,15 @@ def test_a_cell_that_is_not_told_from_noise_is_poor():
         assert judged(replace(FINE, cells=(faint,))).grade == "good"
 
 
+def test_a_cell_that_outgrew_all_others_is_poor():
+    """Alone, it may have begun as a small ball."""
+    cells = tuple(CellFacts(k, 0.9, growth=1.1) for k in range(1, 5))
+    astray, larger = CellFacts(5, 0.9, growth=20.0), CellFacts(6, 0.9, growth=5.0)
+    found = judged(replace(FINE, cells=(*cells, astray, larger)))
+    assert [cell.grade for cell in found.cells] == ["good"] * 4 + ["poor", "fair"]
+    assert judged(replace(FINE, cells=(astray,))).grade == "fair"
+
+
 def test_one_bad_cell_spoils_no_other_and_is_named():
     cells = (*(CellFacts(k, 0.9, 0.0, 1.0) for k in range(1, 6)), CellFacts(6, 0.2))
     found = judged(replace(FINE, cells=cells))

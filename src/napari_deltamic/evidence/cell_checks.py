@@ -157,7 +157,7 @@ def _growth(cell: CellFacts, fit: Facts) -> Reason | None:
     growth = 1.0 if cell.growth is None else cell.growth / fit.usual_growth
     if growth > RULES.grown:
         text = f"it has grown to {growth:.2g} times its volume: has it swallowed a neighbour?"
-        return Reason("grown", "fair", text)
+        return Reason("grown", fair_if(not fit.growth_compares or growth <= RULES.outgrown), text)
     if growth < RULES.shrunk:
         return Reason("shrunk", "poor", f"it has shrunk to {growth:.0%} of its volume")
     return None

@@ -193,7 +193,18 @@ class Facts:
 
     @cached_property
     def usual_growth(self) -> float:
-        """Median growth of the cells; 1 if it is known for fewer than four."""
-        known = [cell.growth for cell in self.cells if cell.growth is not None]
-        # Of fewer cells the median could be one of those that are wrong.
-        return max(median(known), 1e-9) if len(known) >= 4 else 1.0
+        """Median growth of the cells; 1 if they do not tell."""
+        # A cell may be gone: the least is chosen, so that nothing is divided by 0.
+        return max(median(self._growths), 1e-9) if self.growth_compares else 1.0
+
+    @property
+    def growth_compares(self) -> bool:
+        """Whether growth is known for four cells or more: else the median could be a wrong one.
+
+        Four: chosen.
+        """
+        return len(self._growths) >= 4
+
+    @cached_property
+    def _growths(self) -> list[float]:
+        return [cell.growth for cell in self.cells if cell.growth is not None]

@@ -38,6 +38,9 @@ class VerdictRules:
     grown, shrunk
         Largest and least volume over that of the start; with four cells or more, over what it is in
         the others. Chosen, not measured: starts are rough, but hardly by so much.
+    outgrown
+        Such a volume, over what it is in the others, above which a cell is poor. Chosen; measured:
+        20 in one of five cells, which had gone astray in a haze.
     left_out
         Most light of bright parts beside a cell that belong to none, over its own. Measured:
         0.08, 0.22 and 0.31 in cells whose labels lacked 8, 21 and 27 % of their volume, 0.05 in one
@@ -117,6 +120,7 @@ class VerdictRules:
     far_off: float = 0.5
     grown: float = 3.0
     shrunk: float = 0.2
+    outgrown: float = 10.0
     inside: float = 0.12
     compact: float = 0.65
     lit: float = 0.4
