@@ -32,8 +32,10 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     None where there is nothing of that kind that can be cut off: cells that touch another one stay
     as they are, as do those of which surfaces that cross would be left.
     """
+    if problem.anew is None:
+        return None
     before = problem.let_go
-    if problem.anew is None or (before is not None and before.max() >= RULES.times):
+    if before is not None and before.max() >= RULES.times:
         return None
     mesh, grid = fitted.mesh, problem.grid
     touching = np.unique(mesh.regions[(mesh.regions != OUTSIDE).all(1)])
