@@ -52,7 +52,7 @@ def regions_at(
     is left out first.
     """
     labels, left = closed_regions(data, size, voxels, names)
-    sharper = in_focus(data, size)
+    sharper = in_focus(data, size) if left else data
     at = dict(zip(names, voxels, strict=True))
     for name in [k for k, one in left.items() if len(one.points) == 1]:
         if (labels == name).any():

@@ -170,7 +170,8 @@ class SeedsPanel(QGroupBox):
         self.place = button("Click cells", tip, self.place_seeds, self)
         tip = (
             f"Adds surfaces from {MESH_FILES_LISTED} files and points from {POINTS_FILE} files "
-            "(z,y,x or z,y,x,radius) as layers; lengths are um from the centre of the first voxel."
+            "(z,y,x or z,y,x,radius) as layers; positions are in um from the centre of the first "
+            "voxel."
         )
         self.open_file = button("From file...", tip, self._ask_file, self)
         self._reading = self._doc.background(self._doc.warned.emit)
