@@ -1,16 +1,23 @@
 // Python bindings of the remesher and of what keeps surfaces apart.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <numeric>
+#include <optional>
 
 #include "bending.h"
 #include "checks.h"
 #include "connectivity.h"
+#include "distance_transform.h"
 #include "flooding.h"
+#include "gaussian_blur.h"
 #include "proximity.h"
 #include "remesh.h"
 
@@ -234,6 +241,27 @@ NB_MODULE(_remesh, m) {
         }
         const auto n = tree.parent.size();
         return nb::make_tuple(copied<std::int64_t>(tree.parent.data(), n, 1), copied<std::int64_t>(tree.order.data(), n, 1));
+    });
+    m.def("distance_transform", [](Given<std::uint8_t> mask, std::array<double, 3> size, Array<double> distance,
+                                   std::optional<Array<std::int64_t>> nearest, int threads) {
+        require(mask.ndim() == 3 && mask.size() > 0, "mask: (Z, Y, X)");
+        const std::array<std::size_t, 3> shape{mask.shape(0), mask.shape(1), mask.shape(2)};
+        has_shape(distance, "distance", {shape[0], shape[1], shape[2]});
+        if (nearest) has_shape(*nearest, "nearest", {shape[0], shape[1], shape[2]});
+        for (const double s : size) require(s > 0 && s <= farthest, "voxels must have a size");
+        thread_count(threads);
+        nb::gil_scoped_release others_may_run;
+        deltamic_distances::distance_transform(mask.data(), shape, size, distance.data(), nearest ? nearest->data() : nullptr,
+                                               threads);
+    }, nb::arg("mask"), nb::arg("size"), nb::arg("distance"), nb::arg("nearest").none(), nb::arg("threads"));
+    m.def("blur", [](Given<float> image, std::array<std::vector<float>, 3> weights, Array<float> to, int threads) {
+        require(image.ndim() == 3 && image.size() > 0, "image: (Z, Y, X)");
+        const std::array<std::size_t, 3> shape{image.shape(0), image.shape(1), image.shape(2)};
+        has_shape(to, "to", {shape[0], shape[1], shape[2]});
+        require(image.data() != to.data(), "the result needs an array of its own");
+        thread_count(threads);
+        nb::gil_scoped_release others_may_run;
+        deltamic_blur::blur(image.data(), shape, weights, to.data(), threads);
     });
     nb::class_<Guard>(m, "Guard")
         .def("__init__",

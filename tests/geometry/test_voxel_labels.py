@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 from test_mesh import two_cubes
 
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.labels.voxels import voxel_labels
+from napari_deltamic.geometry.labels.voxels import voxel_labels, widened_mask
 
 
 def test_voxels_of_two_cubes_that_share_a_wall():
@@ -49,3 +50,12 @@ def test_lines_through_vertices_do_not_leak():
         labels = voxel_labels(snapped, (21, 21, 21), (1, 1, 1))
         assert not labels[:, :, -1].any()
         assert (labels == 1).sum() == pytest.approx(snapped.region_volume(1), rel=0.15)
+
+
+@pytest.mark.parametrize("far", [(0, 1, 2), (3, 0, 7), (40, 5, 6)])
+def test_a_widened_mask_is_a_box_around_each_voxel(far):
+    mask = np.random.default_rng(0).random((9, 20, 31)) > 0.995
+    before = mask.copy()
+    told = ndimage.maximum_filter(mask, [2 * n + 1 for n in far], mode="constant")
+    assert np.array_equal(widened_mask(mask, far), told)
+    assert np.array_equal(mask, before)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, find_objects
+from scipy.ndimage import find_objects
 
 from ..fitting.voxels.voxel_ownership import surface_voxels
+from ..geometry.distance_transform import distance_transform
 from ..geometry.mesh import Mesh, mesh_of_faces
 from ..scene import Grid
 from .evidence_rules import JUDGING
@@ -96,7 +97,7 @@ def _distance(mesh: Mesh, regions: np.ndarray, grid: Grid, spacing: np.ndarray) 
     surface = surface_voxels(kept, grid)
     if not surface.any():
         return np.full(grid.shape, np.inf)
-    found: np.ndarray = distance_transform_edt(~surface, sampling=spacing)
+    found: np.ndarray = distance_transform(~surface, spacing)
     return found
 
 

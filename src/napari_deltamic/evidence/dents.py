@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
+from ..geometry.distance_transform import distance_transform
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid
@@ -67,9 +67,9 @@ def dents(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, Dent]:
     rim = int(np.ceil(2 * RULES.thin / spacing.min())) + 1
     places, faces, found = mesh.vertices_numpy(), mesh.faces_by_region(), dict[int, Dent]()
     for cell in cell_voxels(mesh, grid, rim):
-        around = distance_transform_edt(~cell.own, sampling=spacing) > RULES.thin
-        filled = cell.own | (distance_transform_edt(~around, sampling=spacing) > RULES.thin)
-        depth = distance_transform_edt(filled, sampling=spacing)
+        around = distance_transform(~cell.own, spacing) > RULES.thin
+        filled = cell.own | (distance_transform(~around, spacing) > RULES.thin)
+        depth = distance_transform(filled, spacing)
         own = mesh.faces[faces[cell.region]]
         vertices = np.unique(own)
         inside = cell.at(depth, places[vertices])

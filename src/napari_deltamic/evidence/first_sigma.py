@@ -15,9 +15,10 @@ from math import hypot, pi
 
 import numpy as np
 from scipy.fft import rfftn
-from scipy.ndimage import binary_opening, distance_transform_edt
+from scipy.ndimage import binary_opening
 from scipy.optimize import minimize
 
+from ..geometry.distance_transform import distance_transform
 from ..runs.scene_settings import SIGMA_IN_VOXELS
 from ..runs.settings import SceneSettings
 from .estimate import Finding, unknown
@@ -114,7 +115,7 @@ def _faded(part: np.ndarray) -> np.ndarray:
     if not finite.all():
         gone = binary_opening(~finite, np.ones((3, 3, 3)))  # single voxels do no harm
         if gone.any() and not gone.all():  # else the edge of what is missing would look sharp
-            part = part * np.minimum(distance_transform_edt(~gone) / SPECTRUM.fades, 1)
+            part = part * np.minimum(distance_transform(~gone) / SPECTRUM.fades, 1)
     for axis, n in enumerate(part.shape):
         window = np.hanning(n + 2)[1:-1] ** 0.5
         part = part * np.expand_dims(window, tuple(a for a in range(3) if a != axis))

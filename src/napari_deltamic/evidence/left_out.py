@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import (
-    distance_transform_edt,
     find_objects,
     gaussian_filter,
     label,
@@ -26,6 +25,7 @@ from scipy.ndimage import (
 
 from ..fitting.voxels.bright_regions import RULES as BRIGHT
 from ..fitting.voxels.voxel_ownership import RULES as OWNERSHIP
+from ..geometry.distance_transform import distance_transform, nearest_outside
 from ..geometry.labels.label_repair import label_boxes
 from ..geometry.labels.voxels import depths, voxel_labels
 from ..geometry.mesh import Mesh
@@ -168,8 +168,8 @@ class _Near:
 def _near(
     labels: NDArray[np.integer], cells: Mapping[int, _Cell], spacing: NDArray[np.floating]
 ) -> _Near:
-    away, at = distance_transform_edt(labels == 0, sampling=spacing, return_indices=True)
-    nearest = labels[tuple(at)]
+    away, at = nearest_outside(labels == 0, spacing)
+    nearest = np.take(labels, at)
     names = np.unique(nearest)
     inside, deepest = np.array([(cells[r].inside, cells[r].deepest) for r in names.tolist()]).T
     return _Near(names.tolist(), inside, deepest, np.searchsorted(names, nearest), away)
@@ -183,7 +183,7 @@ def _arms_of(
 ) -> NDArray[np.integer]:
     """Index of the cell that each part may be an arm of; -1 for none."""
     begins, ends = (np.asarray(f(near.away, parts, numbers)) for f in (minimum, maximum))
-    depth = distance_transform_edt(parts > 0, sampling=spacing)
+    depth = distance_transform(parts > 0, spacing)
     thick = np.asarray(maximum(depth, parts, numbers))
     at = tuple(np.array(minimum_position(near.away, parts, numbers)).T)
     arms = (begins <= RULES.touching) & (ends >= RULES.out)
@@ -200,8 +200,8 @@ def _light(
     spacing: NDArray[np.floating],
 ) -> NDArray[np.floating]:
     """Light of each part, with that around it outside of cells for which it is the nearest part."""
-    gap, at = distance_transform_edt(parts == 0, sampling=spacing, return_indices=True)
-    around = np.where(outside & (gap <= RULES.around), parts[tuple(at)], 0)
+    gap, at = nearest_outside(parts == 0, spacing)
+    around = np.where(outside & (gap <= RULES.around), np.take(parts, at), 0)
     return np.asarray(sum_labels(rest, around, numbers))
 
 

@@ -8,8 +8,8 @@ from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
+from ..geometry.distance_transform import distance_transform
 from ..geometry.mesh import Mesh
 from ..optics import Optics
 from ..scene import Grid
@@ -72,10 +72,10 @@ def outgrowths(mesh: Mesh, grid: Grid, optics: Optics) -> dict[int, Place]:
     reaches, fins = dict[int, float](), dict[int, float]()
     tips, edges = dict[int, Place](), dict[int, Place]()
     for cell in cell_voxels(mesh, grid, rim):
-        thick = distance_transform_edt(cell.own, sampling=spacing) > RULES.thin
+        thick = distance_transform(cell.own, spacing) > RULES.thin
         if not thick.any():
             continue
-        away = distance_transform_edt(~thick, sampling=spacing) - RULES.thin
+        away = distance_transform(~thick, spacing) - RULES.thin
         out = np.where(cell.own, away, 0.0)
         if (out > 0).sum() > RULES.share * cell.own.sum():
             continue

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from ..common.doing import doing
 from ..errors import DoubtWarning
@@ -22,6 +22,7 @@ from ..fitting.job import FitInput, levelled
 from ..fitting.model.likelihood import voxel_noise
 from ..fitting.model.saturation import cut_at
 from ..fitting.voxels.voxel_ownership import surface_voxels
+from ..geometry.distance_transform import distance_transform
 from ..geometry.labels.voxels import voxel_labels
 from ..geometry.mesh import Mesh
 from ..images.missing import filled
@@ -297,7 +298,7 @@ def followed(pixels: np.ndarray, grid: Grid, seeds: Mesh) -> float:
     surface = surface_voxels(seeds, grid)
     if not surface.any():
         return 0.0
-    away = distance_transform_edt(~surface, sampling=np.asarray(grid.voxel_size))
+    away = distance_transform(~surface, np.asarray(grid.voxel_size))
     away = np.where((labels > 0) & ~surface, -away, away)
     known = np.isfinite(pixels)
     whole = np.where(known, pixels, float(np.median(pixels[known]))).astype(np.float32)

@@ -49,8 +49,14 @@ class Connectivity:
     @cached_property
     def region_ids(self) -> IntArray:
         """Sorted region numbers, without the outside."""
-        ids = np.unique(self.regions)
+        ids = self.ranks[0]
         return ids[ids != OUTSIDE]
+
+    @cached_property
+    def ranks(self) -> tuple[IntArray, IntArray]:
+        """Sorted region numbers, with the outside if it is there; (F, 2) of both regions' place."""
+        ids, rank = np.unique(self.regions, return_inverse=True)
+        return ids, rank.reshape(-1, 2)
 
     @cached_property
     def faces_by_region(self) -> dict[int, IntArray]:

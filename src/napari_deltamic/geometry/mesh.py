@@ -158,9 +158,8 @@ class Mesh:
         of open ones, differences do where only the inside of a surface changes, about one place.
         """
         per_face = self.signed_volumes(about)
-        # By rank: a region number may be anything.
-        regions, rank = np.unique(self.regions, return_inverse=True)
-        inner, outer = rank.reshape(-1, 2).T
+        regions, ranks = self._connectivity.ranks  # a region number may be anything
+        inner, outer = ranks.T
         total = np.bincount(inner, per_face, len(regions))
         total -= np.bincount(outer, per_face, len(regions))
         found = zip(regions.tolist(), total.tolist(), strict=True)

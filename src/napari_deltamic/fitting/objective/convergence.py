@@ -122,9 +122,11 @@ def drifted(moved: FloatArray, normals: FloatArray, mesh: Mesh) -> float:
     hardly count. mesh : with these vertices.
     """
     along = np.abs((moved * normals).sum(1))
-    cells = [
-        np.median(along[np.unique(mesh.faces[own])]) for own in mesh.faces_by_region().values()
-    ]
+    cells = list[float]()
+    for own in mesh.faces_by_region().values():
+        used = np.zeros(len(along), bool)
+        used[mesh.faces[own]] = True
+        cells.append(float(np.median(along[used])))
     return SIGMA_PER_MEDIAN_DEVIATION * float(max(cells, default=0.0))
 
 

@@ -7,8 +7,9 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import gaussian_filter
 
+from ...geometry.distance_transform import distance_transform
 from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import Mesh
 from ...optics import Optics
@@ -74,7 +75,7 @@ class Cells:
     def away(self) -> np.ndarray:
         """(Z, Y, X) distance from the surface, in widths of the PSF."""
         widths = np.asarray(self.grid.voxel_size) / np.asarray(self.optics.sigma_um)
-        found: np.ndarray = distance_transform_edt(~self.surface, sampling=widths)
+        found: np.ndarray = distance_transform(~self.surface, widths)
         return found
 
 

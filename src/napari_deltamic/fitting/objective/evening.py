@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from ...common.gaussian_blur import blurred
+from ...geometry.gaussian_blur import blurred
 from ...geometry.mesh import FloatArray
 
 Image = NDArray[np.floating]  # single precision will do, in half of the memory

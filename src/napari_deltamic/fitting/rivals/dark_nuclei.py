@@ -17,11 +17,11 @@ from statistics import median
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 from skimage.segmentation import find_boundaries
 
 from ...common.triple import geometric_mean
 from ...errors import InputError, RepairWarning
+from ...geometry.distance_transform import distance_transform, nearest_outside
 from ...geometry.labels.meshes import mesh_from_labels
 from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import FloatArray, Mesh, mesh_of_faces
@@ -231,9 +231,9 @@ def _with_nuclei(mesh: Mesh, grid: Grid, away: float) -> _Cells | None:
     names = mesh.region_ids()
     known = voxel_labels(mesh, shape, grid.voxel_size, origin)
     labels = np.searchsorted(np.append(0, names), known)  # names may be large numbers
-    depth = distance_transform_edt(~find_boundaries(labels, mode="inner"), sampling=size)
-    outside, nearest = distance_transform_edt(labels == 0, sampling=size, return_indices=True)
-    found = np.where(outside < away, labels[tuple(nearest)], 0)
+    depth = distance_transform(~find_boundaries(labels, mode="inner"), size)
+    outside, nearest = nearest_outside(labels == 0, size)
+    found = np.where(outside < away, np.take(labels, nearest), 0)
     cells, last = range(1, len(names) + 1), len(names)
     table = names.tolist()
     nuclei = dict[int, int]()

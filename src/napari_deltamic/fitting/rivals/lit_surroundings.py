@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from ...common.doing import doing
 from ...common.triple import Triple as Widths
 from ...common.triple import geometric_mean
+from ...geometry.distance_transform import distance_transform
 from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import FloatArray, Mesh
 from ...optics import GaussianMixturePSF, GaussianPSF, Optics
@@ -175,7 +175,7 @@ def _from_surface(mesh: Mesh, one: Objective, spacing: FloatArray) -> FloatArray
     grid = one.terms.level.grid
     inside = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin) > 0
     doing()
-    both = (distance_transform_edt(mask, sampling=spacing) for mask in (inside, ~inside))
+    both = (distance_transform(mask, spacing) for mask in (inside, ~inside))
     return np.asarray(sum(both))
 
 

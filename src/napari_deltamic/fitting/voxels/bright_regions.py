@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_dilation,
-    distance_transform_edt,
     find_objects,
     gaussian_filter,
     sum_labels,
@@ -20,6 +19,7 @@ from skimage.segmentation import watershed
 from ...common.ball import ball_radius
 from ...common.doing import doing
 from ...geometry.contacts import faces_of_voxels
+from ...geometry.distance_transform import distance_transform, nearest_outside
 from ...geometry.labels.voxels import highest, widened
 from ...images.missing import filled
 from ...scene import Grid
@@ -109,8 +109,8 @@ def bright_regions(image: np.ndarray, grid: Grid, starts: Labels) -> Labels | No
     own, shed = without_thin(theirs[things], RULES.thin * radii.min(), size)
     if not own.any():
         return None
-    _, at = distance_transform_edt(starts == 0, sampling=size, return_indices=True)
-    found: Labels = np.where(own, starts[tuple(at)], 0)
+    _, at = nearest_outside(starts == 0, size)
+    found: Labels = np.where(own, np.take(starts, at), 0)
     found[smooth < ends[found]] = 0
     if not alike(found, starts, np.arange(1, len(names))):
         return None
@@ -219,7 +219,7 @@ def _cores(
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Brightness in the core of each start, 0 where it has none; and of its brightest places."""
     doing()
-    within = distance_transform_edt(starts > 0, sampling=size)
+    within = distance_transform(starts > 0, size)
     cores, brightest = np.zeros(len(radii)), np.zeros(len(radii))
     for r, (box, radius) in enumerate(zip(find_objects(starts), radii, strict=True)):
         own = starts[box] == r + 1
@@ -240,7 +240,7 @@ def _things_of(starts: Labels, bright: Mask, far: float, size: np.ndarray) -> tu
     connected, _ = label_components(bright[box])
     touched = np.unique(connected[(starts[box] > 0) & bright[box]])
     doing()
-    depth = distance_transform_edt(np.isin(connected, touched), sampling=size)
+    depth = distance_transform(np.isin(connected, touched), size)
     things[box] = parted(depth, RULES.neck)
     volume = np.bincount(things.ravel())
     covered = np.bincount(things.ravel(), starts.ravel() > 0)
@@ -255,10 +255,10 @@ def _things_of(starts: Labels, bright: Mask, far: float, size: np.ndarray) -> tu
 def without_thin(things: Mask, thin: float, size: np.ndarray) -> tuple[Mask, Mask]:
     """What is thicker than twice a length, rounded by it, and what sticks out of that."""
     doing()
-    thick = distance_transform_edt(things, sampling=size) > thin
+    thick = distance_transform(things, size) > thin
     if not thick.any():
         return thick, thick
-    near = distance_transform_edt(~thick, sampling=size)
+    near = distance_transform(~thick, size)
     rest, count = label_components(things & (near > thin))
     out = np.append(False, highest(near, rest, count) > RULES.corner * thin)
     return things & (near <= thin), out[rest]

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects, maximum_filter
+from scipy.ndimage import find_objects
 from skimage.transform import downscale_local_mean
 
-from ...common.gaussian_blur import blurred
-from ...geometry.labels.voxels import widened
+from ...geometry.gaussian_blur import blurred
+from ...geometry.labels.voxels import widened, widened_mask
 from ...geometry.mesh import FloatArray
 
 
@@ -139,12 +139,12 @@ def _blurred(values: NDArray[np.floating], widths: FloatArray) -> NDArray[np.flo
 
 def _means(values: np.ndarray, steps: NDArray[np.signedinteger]) -> NDArray[np.float32]:
     """Means over blocks of this many voxels along each axis."""
+    if (steps == 1).all():
+        return values.astype(np.float32)
     found: NDArray[np.float32] = downscale_local_mean(values.astype(np.float32), tuple(steps))
     return found
 
 
 def _within(mask: np.ndarray, far: FloatArray) -> np.ndarray:
     """Whether voxels lie within this many voxels of a mask along each axis."""
-    size = 2 * np.ceil(far).astype(int) + 1
-    near: np.ndarray = maximum_filter(mask.view(np.int8), tuple(size), mode="constant") > 0
-    return near
+    return widened_mask(mask, np.ceil(far).astype(int))

@@ -12,10 +12,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from ...geometry.connected import sharing
+from ...geometry.distance_transform import distance_transform
 from ...geometry.mesh import OUTSIDE, FloatArray, Mesh
 from ...geometry.topology.crossings import crosses
 from ...geometry.topology.patches import Mask, cut_off
@@ -53,8 +53,8 @@ def let_neighbours_go(problem: Problem, begun: Mesh, fitted: Fitted) -> tuple[Pr
     if cut is mesh:
         return None
     size = np.asarray(grid.voxel_size) / np.asarray(fitted.optics.sigma_um)
-    own = distance_transform_edt(~surface_voxels(cut, beyond.grid), sampling=size)
-    other = distance_transform_edt(beyond.parts == 0, sampling=size)
+    own = distance_transform(~surface_voxels(cut, beyond.grid), size)
+    other = distance_transform(beyond.parts == 0, size)
     ours = (own < other) | ((beyond.cells > 0) & (beyond.parts == 0))
     # They stay foreign where the cells' own light is asked for again.
     let_go = np.zeros(grid.shape, np.uint8) if before is None else before.copy()

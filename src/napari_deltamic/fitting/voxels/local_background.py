@@ -13,10 +13,10 @@ from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from ...common.doing import doing
-from ...common.gaussian_blur import blurred
+from ...geometry.distance_transform import distance_transform
+from ...geometry.gaussian_blur import blurred
 from ...geometry.labels.voxels import voxel_labels
 from ...geometry.mesh import FloatArray, Mesh
 from ...images.missing import filled
@@ -97,11 +97,11 @@ def with_local_background(
     foreign, grid = problem.foreign, problem.grid
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     doing()
-    away = distance_transform_edt(labels == 0, sampling=spacing)
+    away = distance_transform(labels == 0, spacing)
     known = problem.counted & (away > beyond)
     if foreign is not None and foreign.any():
         doing()
-        known &= distance_transform_edt(~foreign, sampling=spacing) > RULES.beyond
+        known &= distance_transform(~foreign, spacing) > RULES.beyond
     shell = (away > beyond) & (away < 2 * beyond)
     if known[shell].sum() <= RULES.share * shell.sum():
         return None

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_dilation,
     binary_erosion,
-    distance_transform_edt,
     find_objects,
     label,
     mean,
@@ -21,6 +20,7 @@ from scipy.ndimage import (
 from skimage.segmentation import watershed
 
 from ...common.doing import doing
+from ...geometry.distance_transform import distance_transform
 from ...geometry.labels.voxels import box_around, depths, highest, widened
 from ...scene import Grid
 from .bright_regions import Labels, Mask, bright_regions, without_thin
@@ -223,7 +223,7 @@ def _of_one_cell(rest: Mask, start: Mask, size: NDArray[np.floating]) -> Mask:
     deep = float(depths(start, size).max())
     whole, _ = without_thin(rest | start, RULES.thin * deep, size)
     parts, count = label(rest & whole, _ALL_AROUND)
-    depth = distance_transform_edt(rest | start, sampling=size)
+    depth = distance_transform(rest | start, size)
     meets = np.where(binary_dilation(start, _ALL_AROUND), depth, 0)
     at_start, at_most = (highest(d, parts, count) for d in (meets, depth))
     return np.append(False, at_start >= RULES.neck * at_most)[parts]
@@ -233,4 +233,4 @@ def _away(things: Mask, spacing: NDArray[np.floating]) -> NDArray[np.floating]:
     """(Z, Y, X) widths from things; infinite where there are none."""
     if not things.any():
         return np.full(things.shape, np.inf)
-    return np.asarray(distance_transform_edt(~things, sampling=spacing))
+    return np.asarray(distance_transform(~things, spacing))

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, maximum_filter, maximum_position
+from scipy.ndimage import maximum_filter, maximum_position
 
 from ...common.triple import triple
+from ...geometry.distance_transform import distance_transform
 from ...geometry.labels.label_repair import label_boxes
 from ...geometry.labels.voxels import highest, voxel_labels
 from ...geometry.mesh import Mesh
@@ -86,7 +87,7 @@ def beyond_necks(start: Mesh, mesh: Mesh, grid: Grid, optics: Optics) -> BeyondN
     seen[within(around, grid)] = True
     for region, box in label_boxes(labels):
         own, held = (np.pad(some[box] == region, 1) for some in (labels, before))
-        depth = distance_transform_edt(own, sampling=size / np.asarray(optics.sigma_um))
+        depth = distance_transform(own, size / np.asarray(optics.sigma_um))
         new = np.where(held, 0, depth)
         if not ((new > RULES.thick) & (new >= maximum_filter(depth, 3))).any():
             continue  # no part is deepest outside the start: saves most of the time

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects
+from scipy.ndimage import binary_dilation, find_objects
 from scipy.ndimage import label as label_components
 from skimage.morphology import reconstruction
 
 from ...common.doing import doing
+from ...geometry.distance_transform import distance_transform
 from ...geometry.labels.voxels import depths, highest, widened
 
 Labels = NDArray[np.signedinteger]
@@ -138,7 +139,7 @@ def _thin(things: Labels, bright: Mask, beyond: np.ndarray, spacing: np.ndarray)
     for number, box in enumerate(find_objects(things), 1):
         doing()
         around = widened(box, room, things.shape)
-        depth = distance_transform_edt(bright[around], sampling=spacing)
+        depth = distance_transform(bright[around], spacing)
         own = things[around] == number
         free = own & (beyond[around] > RULES.foot)
         found.append(depth[free if free.any() else own].max())
@@ -188,6 +189,6 @@ def _encloses(walls: Mask, spacing: np.ndarray) -> bool:
         wide = np.multiply([s.stop - s.start for s in box], spacing).min() > RULES.closed
         if wide and not any(across):
             hole = np.pad(parts[box] == number, 1)
-            if distance_transform_edt(hole, sampling=spacing).max() > RULES.closed:
+            if distance_transform(hole, spacing).max() > RULES.closed:
                 return True
     return False

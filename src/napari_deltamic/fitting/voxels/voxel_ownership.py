@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import (
     binary_erosion,
-    distance_transform_edt,
     find_objects,
     gaussian_filter,
     label,
@@ -27,6 +26,7 @@ from ...common.ball import ball_radius
 from ...common.doing import doing
 from ...common.triple import geometric_mean
 from ...errors import InputError, RepairWarning
+from ...geometry.distance_transform import distance_transform, nearest_outside
 from ...geometry.labels.voxels import depths, highest, voxel_labels
 from ...geometry.mesh import Mesh
 from ...geometry.seed_points import labels_from_points
@@ -232,7 +232,7 @@ class _Seen:
         spacing = np.asarray(grid.voxel_size) / np.asarray(optics.sigma_um)
         doing()
         pixels = gaussian_filter(pixels, RULES.smooth / spacing)
-        own, at = distance_transform_edt(~surface, sampling=spacing, return_indices=True)
+        own, at = nearest_outside(~surface, spacing)
         doing()
         pixels -= np.percentile(pixels[known], 20)
         # The brightest voxel near each piece of surface is what a membrane looks like here.
@@ -240,7 +240,7 @@ class _Seen:
         haze = minimum_filter(pixels, tuple(_across(RULES.haze / spacing)), mode="nearest")
         haze = np.maximum(haze, 0)
         # Beside a bright side of a cell its own image reaches further.
-        crest = maximum_filter(pixels, tuple(_across(1 / spacing)))[tuple(at)]
+        crest = np.take(maximum_filter(pixels, tuple(_across(1 / spacing))), at)
         crest = np.maximum(crest, membrane)
         noise = RULES.above * _noise(pixels[known])
         doing()
@@ -264,7 +264,7 @@ class _Seen:
         height = np.where(self.known, self.pixels - self.haze, 0) / above
         # What is missing dims what is smoothed beside it.
         known, edge = self.known, 2 * RULES.smooth
-        sure = known.all() or distance_transform_edt(known, sampling=self.spacing) > edge
+        sure = known.all() or distance_transform(known, self.spacing) > edge
         doing()
         clear = self.bright & known & (height > RULES.bright)
         starts, beyond = np.where(self.inside, self.labels, 0), self.own - self.reach
@@ -306,7 +306,7 @@ def _shared_out(
     doing()
     if not foreign.any():
         return known
-    other = distance_transform_edt(~foreign, sampling=spacing)
+    other = distance_transform(~foreign, spacing)
     return known & ((own < other) | inside)
 
 

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
+from ..distance_transform import distance_transform
 from ..mesh import FloatArray
 
 Labels = NDArray[np.int32]
@@ -54,5 +54,5 @@ def _between(one: Labels, other: Labels, count: int, size: FloatArray) -> Labels
 def _depth(mask: NDArray[np.bool_], size: FloatArray) -> FloatArray:
     """Return distances to the outline, um: positive inside; beyond the image is outside."""
     wider = np.pad(mask, 1)
-    inside, outside = (distance_transform_edt(m, sampling=size) for m in (wider, ~wider))
+    inside, outside = (distance_transform(m, size) for m in (wider, ~wider))
     return np.asarray(inside - outside)[1:-1, 1:-1]

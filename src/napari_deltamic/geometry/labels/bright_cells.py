@@ -20,6 +20,7 @@ from scipy import ndimage
 from skimage.filters import threshold_li, threshold_otsu
 
 from ...errors import InputError
+from ..distance_transform import distance_transform
 from ..mesh import FloatArray
 from .bright_things import (
     Smoothed,
@@ -216,7 +217,7 @@ def _without_clumps(
     blobs = np.where(seen.known, crowded_cells(seen.data, seen.voxel, size), 0)
     if not blobs.any():
         return found
-    depth = ndimage.distance_transform_edt(blobs > 0, seen.voxel)
+    depth = distance_transform(blobs > 0, seen.voxel)
     # Each cell ends at half of its own brightness.
     smaller = of_a_size(without_halves(ended(seen, blobs, depth)), seen.voxel, size)
     cells = found if smaller is None else _likelier(found, smaller, seen)
@@ -255,5 +256,5 @@ def _light_at(seen: Smoothed, labels: Labels) -> float:
     """Return the share of the light that lies in cells or near them."""
     light = np.maximum(seen.smooth - threshold_li(seen.smooth[seen.known]), 0) * seen.known
     reach = RULES.reach * seen.voxel.min()
-    near = ndimage.distance_transform_edt(labels == 0, seen.voxel) <= reach
+    near = distance_transform(labels == 0, seen.voxel) <= reach
     return float((light * near).sum()) / max(float(light.sum()), 1e-30)

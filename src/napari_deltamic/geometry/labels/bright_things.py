@@ -12,6 +12,7 @@ from skimage.morphology import h_maxima
 from skimage.segmentation import watershed
 
 from ...common.ball import ball_radius
+from ..distance_transform import distance_transform
 from ..mesh import FloatArray
 from .label_repair import label_boxes
 from .region_merging import Image, Labels
@@ -89,7 +90,7 @@ def bright_things(
     things = ndimage.binary_fill_holes(ndimage.binary_opening(seen.above(threshold)))
     if not things.any():
         return None, False
-    depth = ndimage.distance_transform_edt(things, voxel)  # a cell may go on beyond the border
+    depth = distance_transform(things, voxel)  # a cell may go on beyond the border
     depth = ndimage.gaussian_filter(depth, THINGS.smoothing * voxel.min() / voxel)
     large = float(np.quantile(depth[things], THINGS.large)) if size is None else size / 2
     peaks, _ = ndimage.label(h_maxima(depth, THINGS.narrow * large))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.filters import threshold_otsu
 
+from ..distance_transform import distance_transform
 from .bright_things import Smoothed, bright_things, smoothed, typical_diameter, unexplained
 from .crowded_cells import blob_answers
 from .solidity import solidities
@@ -117,7 +118,7 @@ def _diameters(
 def _depth(inside: NDArray[np.bool_], seen: Smoothed) -> NDArray[np.float32]:
     """Return depths (um) below the surface; things cut by the image's border go on beyond it."""
     padded = np.pad(inside, 1, mode="edge")
-    deep = ndimage.distance_transform_edt(padded, seen.voxel)[1:-1, 1:-1, 1:-1]
+    deep = distance_transform(padded, seen.voxel)[1:-1, 1:-1, 1:-1]
     depth: NDArray[np.float32] = deep.astype(np.float32)
     return depth
 

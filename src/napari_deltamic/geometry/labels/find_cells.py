@@ -20,6 +20,7 @@ from skimage.segmentation import watershed
 
 from ...common.ball import ball_radius
 from ...errors import NoCellsFound
+from ..distance_transform import distance_transform
 from ..mesh import FloatArray
 from .basins import border_area, noise_after, noise_gain
 from .cell_rules import FINDING
@@ -253,11 +254,11 @@ def _trimmed(
     for place, name in enumerate(names):
         box = boxes[name - 1]
         solid = np.pad(ndimage.binary_fill_holes(labels[box] == name), 1)
-        core = largest_part(ndimage.distance_transform_edt(solid, side) > radius)
+        core = largest_part(distance_transform(solid, side) > radius)
         if not core.any():
             continue
         # The corners of a cell come back, its tongues do not.
-        kept = solid & (ndimage.distance_transform_edt(~core, side) <= FINDING.corners * radius)
+        kept = solid & (distance_transform(~core, side) <= FINDING.corners * radius)
         whose.append(place)
         inner = kept[1:-1, 1:-1, 1:-1]
         result[box][inner & (result[box] == 0)] = len(whose)

@@ -18,6 +18,7 @@ from skimage.segmentation import watershed
 
 from ...common.ball import ball_radius
 from ...errors import InputError
+from ..distance_transform import distance_transform
 from ..mesh import FloatArray
 from .cell_rules import CLICKS
 from .checked_image import checked_image
@@ -161,8 +162,8 @@ def _merge(labels: Labels, clicks: _Clicks, voxel: FloatArray, size: float) -> N
         both = (labels == one) | (labels == other)
         # The seam between them, where one was left.
         reach = CLICKS.marker * size
-        near = ndimage.distance_transform_edt(~both, voxel) <= reach
-        closed = near & (ndimage.distance_transform_edt(near, voxel) > reach)
+        near = distance_transform(~both, voxel) <= reach
+        closed = near & (distance_transform(near, voxel) > reach)
         labels[both | (closed & (labels == 0))] = one
         if ndimage.label(labels == one)[1] > 1:
             raise InputError(f"clicks {i + 1} and {j + 1} lie in cells that do not touch")
@@ -220,7 +221,7 @@ def _add(
     free = own == 0
     spot = np.ones(own.shape, bool)
     spot[tuple((places - low).T)] = False
-    away = ndimage.distance_transform_edt(spot, voxel)
+    away = distance_transform(spot, voxel)
     outside, new = int(labels.max()) + 1, int(labels.max()) + 2
     markers = own.copy()
     markers[free & (away > reach * size)] = outside
@@ -290,11 +291,9 @@ def _rounded(
     core = depths(mask, voxel) > radius
     spot = np.ones(mask.shape, bool)
     spot[place] = False
-    core |= mask & (ndimage.distance_transform_edt(spot, voxel) <= CLICKS.marker * size)
+    core |= mask & (distance_transform(spot, voxel) <= CLICKS.marker * size)
     parts, _ = ndimage.label(core)
-    kept = mask & (
-        ndimage.distance_transform_edt(parts != parts[place], voxel) <= CLICKS.corners * radius
-    )
+    kept = mask & (distance_transform(parts != parts[place], voxel) <= CLICKS.corners * radius)
     filled: NDArray[np.bool_] = ndimage.binary_fill_holes(kept)
     return filled
 

@@ -19,6 +19,7 @@ from ...common.doing import doing
 from ...common.words import counted
 from ...errors import InputError, listed
 from ...images.missing import unmasked
+from ..distance_transform import distance_transform, nearest_outside
 from ..mesh import FloatArray
 from ..three_numbers import three_numbers
 from .annotated_slices import filled_between
@@ -240,12 +241,12 @@ def share_out_gaps(numbers: NDArray[Any], spacing: FloatArray, reach: float) -> 
     """Give ground in gaps up to twice the reach (found by a ball's closing) to nearest labels."""
     room = int(np.ceil(reach / spacing.min())) + 1
     ground = np.pad(numbers == 0, room, constant_values=True)
-    distance, nearest = ndimage.distance_transform_edt(ground, spacing, return_indices=True)
+    distance, nearest = nearest_outside(ground, spacing)
     reach += _ROUNDING
     doing()
     grown = distance <= reach
-    closed = ndimage.distance_transform_edt(grown, spacing) > reach
-    filled = np.pad(numbers, room)[tuple(nearest)]
+    closed = distance_transform(grown, spacing) > reach
+    filled = np.take(np.pad(numbers, room), nearest)
     inner = (slice(room, -room),) * 3
     shared: NDArray[Any] = np.where(closed[inner] & (numbers == 0), filled[inner], numbers)
     return shared

@@ -13,6 +13,7 @@ from scipy import ndimage
 from ...common.doing import doing
 from ...errors import InputError
 from ..connected import connected
+from ..distance_transform import distance_transform
 from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from ..vectors import lengths
 from .dual_net import TRIANGLES, check_nodes, dual_net, field_smoothing
@@ -157,8 +158,8 @@ def _compete(labels: IntArray, size: FloatArray, edge: float, raised: bool, thin
     def field(number: int) -> tuple[tuple[slice, ...], FloatArray]:
         start = np.array([s.start for s in boxes[number]]) - around
         mask = _cut(numbers, start, [s.stop for s in boxes[number]] + around) == number
-        away = ndimage.distance_transform_edt(mask, size)
-        away -= ndimage.distance_transform_edt(~mask, size)
+        away = distance_transform(mask, size)
+        away -= distance_transform(~mask, size)
         away = ndimage.gaussian_filter(away, sigma / size, mode="nearest")
         if raised and number:
             n = int(np.count_nonzero(mask))

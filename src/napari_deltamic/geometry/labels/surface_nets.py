@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array
 
+from ..distance_transform import distance_transform
 from ..mesh import FloatArray, IntArray
 from .dual_net import NETS, TRIANGLES, check_nodes, dual_net, field_smoothing
 from .voxels import largest_part
@@ -31,8 +32,8 @@ def closed_surface(
     solid = ndimage.binary_fill_holes(largest_part(np.pad(mask, [(int(r),) * 2 for r in room])))
     solid = _without_fins(solid, 0.5 * edge, size)
     corner = origin - room * size
-    distance = ndimage.distance_transform_edt(solid, size)
-    distance -= ndimage.distance_transform_edt(~solid, size)
+    distance = distance_transform(solid, size)
+    distance -= distance_transform(~solid, size)
     best = None
     for factor in NETS.smoother:
         field = ndimage.gaussian_filter(distance, factor * sigma / size)
@@ -50,9 +51,9 @@ def closed_surface(
 
 def _without_fins(solid: Mask, radius: float, size: FloatArray) -> Mask:
     """Take away parts too thin for the mesh (an opening by a ball), unless much would go."""
-    kept = ndimage.distance_transform_edt(solid, size) > radius
+    kept = distance_transform(solid, size) > radius
     if kept.any():
-        kept = largest_part(ndimage.distance_transform_edt(~kept, size) <= radius)
+        kept = largest_part(distance_transform(~kept, size) <= radius)
     return kept if kept.sum() > NETS.kept * solid.sum() else solid
 
 

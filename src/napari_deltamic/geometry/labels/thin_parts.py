@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from ...common.doing import doing
+from ..distance_transform import distance_transform
 from ..mesh import FloatArray, IntArray, Mesh
 from .voxels import box_around, region_windings
 
@@ -59,7 +60,7 @@ def cut_off(
             continue
         if not (own & ~ndimage.maximum_filter(held, tuple(around), mode="constant")).any():
             continue
-        away = ndimage.distance_transform_edt(~held, size / scale)
+        away = distance_transform(~held, size / scale)
         parts, count = ndimage.label(own & (away > _BEGINS), np.ones((3, 3, 3)))
         each = np.arange(1, count + 1)
         volume = np.bincount(parts.ravel(), minlength=count + 1)[1:] * voxel

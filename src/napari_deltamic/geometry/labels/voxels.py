@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from ..distance_transform import VoxelSize, distance_transform
 from ..mesh import OUTSIDE, FloatArray, Mesh
 from ..windings import right_side_out
 
@@ -165,13 +166,32 @@ def renumbered(labels: NDArray[np.integer], kept: NDArray[np.bool_]) -> NDArray[
     return numbers[labels]
 
 
-def depths(mask: NDArray[np.bool_], size: ArrayLike | None = None) -> FloatArray:
+def depths(mask: NDArray[np.bool_], size: VoxelSize = 1.0) -> FloatArray:
     """Return (Z, Y, X) how deep each voxel lies in a mask, which ends where the array does.
 
-    size : um of a voxel, Z Y X; None: counted in voxels.
+    size : um of a voxel, Z Y X; 1: counted in voxels.
     """
-    deep = ndimage.distance_transform_edt(np.pad(mask, 1), size)
+    deep = distance_transform(np.pad(mask, 1), size)
     return np.asarray(deep[1:-1, 1:-1, 1:-1])
+
+
+def widened_mask(
+    mask: NDArray[np.bool_], far: Sequence[int] | NDArray[np.integer]
+) -> NDArray[np.bool_]:
+    """Whether voxels lie within so many voxels of a mask along each axis: in a box around it.
+
+    By ever wider windows, each the union of two: 4 times as fast as SciPy's maximum filter.
+    """
+    near = mask.copy()
+    for axis, reach in enumerate(far):
+        rows = np.moveaxis(near, axis, 0)  # a view: what is written there is written to `near`
+        for way in (rows, rows[::-1]):
+            width = 1  # of the window up to each voxel
+            while width <= reach:
+                more = min(width, reach + 1 - width)
+                way[more:] |= way[:-more].copy("K")
+                width += more
+    return near
 
 
 def box_around(*boxes: tuple[slice, ...]) -> tuple[slice, ...]:

@@ -17,6 +17,7 @@ from skimage.segmentation import watershed
 
 from ...common.doing import doing
 from ...errors import InputError
+from ..distance_transform import distance_transform
 from ..mesh import FloatArray
 from .basins import noise_after
 from .regions_at_points import closed_regions
@@ -177,7 +178,7 @@ def _between(seen: _Seen, labels: Labels, asked: dict[int, _Label]) -> Labels:
     By the watershed from markers (F. Meyer and S. Beucher, 1990), one of which is everything far
     from all labels. It also separates cells whose wall is dim in one place.
     """
-    away = ndimage.distance_transform_edt(~np.isin(labels, list(asked)), sampling=seen.size)
+    away = distance_transform(~np.isin(labels, list(asked)), seen.size)
     doing()
     outside = away > RULES.reach * np.median([one.depth for one in asked.values()])
     far = int(labels.max()) + 1
@@ -234,7 +235,7 @@ def _layers(
     part = tuple(slice(s.start, s.stop, n) for s, n in zip(around, every.tolist(), strict=True))
     light, own, free = seen.smooth[part], labels[part] == name, labels[part] == 0
     step, inner = float(size.min()), depths(own, size)
-    outer = ndimage.distance_transform_edt(~own, sampling=size)
+    outer = distance_transform(~own, size)
     within = [own & (inner > k) & (inner <= k + step) for k in np.arange(0, inner.max(), step)]
     beyond = [free & (outer > k) & (outer <= k + step) for k in np.arange(0, reach, step)]
     inside, around_it = (

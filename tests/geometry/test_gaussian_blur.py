@@ -5,12 +5,21 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from napari_deltamic.common.gaussian_blur import blurred
+from napari_deltamic.geometry import gaussian_blur
+from napari_deltamic.geometry.gaussian_blur import blurred
+
+
+@pytest.fixture(params=["compiled", "missing"])
+def loops(request, monkeypatch):
+    if request.param == "missing":
+        monkeypatch.setattr(gaussian_blur, "native", lambda: None)
+    elif gaussian_blur.native() is None:
+        pytest.skip("the compiled extension is missing")
 
 
 @pytest.mark.parametrize("shape", [(5, 70, 131), (1, 3, 64), (129, 2, 7)])
 @pytest.mark.parametrize("widths", [(0.3, 1.5, 4.0), (6.0, 0.7, 0.7), (1.2, 0.0, 0.0)])
-def test_it_is_that_of_scipy(shape, widths):
+def test_it_is_that_of_scipy(loops, shape, widths):
     values = np.random.default_rng(0).normal(size=shape)
     found = blurred(values, widths, 3.0)
     told = gaussian_filter(values, widths, mode="constant", truncate=3.0)
@@ -24,18 +33,27 @@ def test_a_stack_of_another_layout_is_blurred_alike():
     assert np.array_equal(blurred(turned, (1, 2, 3), 3.0), blurred(values, (1, 2, 3), 3.0))
 
 
-def test_the_number_of_threads_stays():
-    before = torch.get_num_threads()
-    blurred(np.ones((4, 4, 4)), (1, 1, 1), 3.0)
-    assert torch.get_num_threads() == before
+def test_the_number_of_threads_changes_no_bit():
+    values = np.random.default_rng(0).normal(size=(40, 120, 131)).astype(np.float32)
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            found.append(blurred(values, (1.3, 0.9, 2.1), 3.0))
+    finally:
+        torch.set_num_threads(before)
+    assert all(np.array_equal(found[0], other) for other in found[1:])
 
 
 def test_where_a_stack_lies_in_memory_changes_no_bit():
-    """Products of matrices take other ways through memory that is not aligned."""
     values = np.random.default_rng(0).normal(size=(20, 70, 75)).astype(np.float32)
     found = blurred(values, (1.3, 0.9, 2.1), 3.0)
     room = np.empty(values.size + 32, np.float32)
-    for first in range(32):
+    for first in range(0, 32, 5):
         moved = room[first : first + values.size].reshape(values.shape)
         moved[:] = values
         assert np.array_equal(blurred(moved, (1.3, 0.9, 2.1), 3.0), found)
+
+
+def test_a_stack_without_voxels_stays_one():
+    assert blurred(np.zeros((0, 4, 4)), (1, 1, 1), 3.0).shape == (0, 4, 4)

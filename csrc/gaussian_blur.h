@@ -1,0 +1,76 @@
+// Symmetric filters along the axes of an image, which is 0 beyond its border.
+//
+// Sums run over the filter in one order for every voxel, so the result does not depend on the number
+// of threads. Rows along x are added whole, for compilers to use vector instructions.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <vector>
+
+#include "team.h"
+
+namespace deltamic_blur {
+
+constexpr double cost = 0.5;  // ns per voxel and pair of neighbours along an axis, measured
+
+// weights[k]: of both voxels k away. None: the axis is left as it is.
+using Weights = std::vector<float>;
+
+inline void scaled(const float* from, float weight, std::size_t n, float* to) {
+    for (std::size_t x = 0; x < n; ++x) to[x] = weight * from[x];
+}
+inline void add(const float* one, float weight, std::size_t n, float* to) {
+    for (std::size_t x = 0; x < n; ++x) to[x] += weight * one[x];
+}
+inline void add(const float* one, const float* other, float weight, std::size_t n, float* to) {
+    for (std::size_t x = 0; x < n; ++x) to[x] += weight * (one[x] + other[x]);
+}
+
+// Row `here` of so many, a number of voxels apart, each of n voxels.
+inline void across(const float* rows, std::size_t here, std::size_t count, std::size_t apart, const Weights& weights, std::size_t n,
+                   float* to) {
+    scaled(rows + here * apart, weights[0], n, to);
+    for (std::size_t k = 1; k < weights.size(); ++k) {
+        const float* const before = here >= k ? rows + (here - k) * apart : nullptr;
+        const float* const after = here + k < count ? rows + (here + k) * apart : nullptr;
+        if (before && after) add(before, after, weights[k], n, to);
+        else if (before || after) add(before ? before : after, weights[k], n, to);
+    }
+}
+
+// A row along x; padded: room for it, with zeros for the filter on either side.
+inline void along(float* row, const Weights& weights, std::size_t n, float* padded) {
+    const std::size_t far = weights.size() - 1;
+    std::copy_n(row, n, padded + far);
+    scaled(padded + far, weights[0], n, row);
+    for (std::size_t k = 1; k <= far; ++k) add(padded + far - k, padded + far + k, weights[k], n, row);
+}
+
+inline void blur(const float* image, const std::array<std::size_t, 3>& shape, const std::array<Weights, 3>& weights, float* to,
+                 int threads) {
+    const std::size_t nz = shape[0], ny = shape[1], nx = shape[2];
+    const std::size_t plane = ny * nx, pairs = weights[0].size() + weights[1].size() + weights[2].size();
+    deltamic_api::Team team(deltamic_api::worth(cost * static_cast<double>(nz * plane * pairs), threads));
+    team.run([&](int) {
+        std::vector<float> before(weights[1].empty() ? 0 : plane);
+        std::vector<float> padded(weights[2].empty() ? 0 : nx + 2 * (weights[2].size() - 1));
+        team.each(ny, [&](std::size_t y) {  // row by row, so that what is read stays near
+            for (std::size_t z = 0; z < nz; ++z) {
+                float* const own = to + z * plane + y * nx;
+                if (weights[0].empty()) std::copy_n(image + z * plane + y * nx, nx, own);
+                else across(image + y * nx, z, nz, plane, weights[0], nx, own);
+            }
+        });
+        team.each(nz, [&](std::size_t z) {
+            float* const own = to + z * plane;
+            if (!weights[1].empty()) std::copy_n(own, plane, before.data());
+            for (std::size_t y = 0; y < ny; ++y) {
+                if (!weights[1].empty()) across(before.data(), y, ny, nx, weights[1], nx, own + y * nx);
+                if (!weights[2].empty()) along(own + y * nx, weights[2], nx, padded.data());
+            }
+        });
+    });
+}
+
+}  // namespace deltamic_blur
