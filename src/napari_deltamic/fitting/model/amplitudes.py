@@ -17,11 +17,10 @@ from ...common.ball import ball_radius
 from ...common.choices import Structure, StructureChoice
 from ...common.triple import geometric_mean
 from ...errors import InputError
-from ...fourier.devices import widest
 from ...geometry.mesh import FloatArray, Mesh
 from ...optics import Optics
 from ...scene.light import INSIDES, MEMBRANES, Light
-from .likelihood import centred_products, total
+from .likelihood import centred_products
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ def light_of(
     insides = shown(INSIDES)
     if structure == "both":
         return mixture(shown(MEMBRANES), insides, measured, weights)
-    return _inside_alone(_slope(insides, measured, weights))
+    return _inside_alone(float(centred_products([insides, measured], weights)[0, 1]))
 
 
 def mixture(membranes: Tensor, insides: Tensor, measured: Tensor, weights: Tensor) -> Light:
@@ -100,13 +99,6 @@ def mixture(membranes: Tensor, insides: Tensor, measured: Tensor, weights: Tenso
     # Where membranes are too dim to be seen beside the inside, their amplitude is no scale.
     seen = a > 0 and a * a * ss > RULES.unseen**2 * c * c * vv
     return Light(1.0, c / a) if seen else _inside_alone(vy)
-
-
-def _slope(image: Tensor, measured: Tensor, weights: Tensor) -> float:
-    """Sign of what an image has in common with the measured one, beyond a background."""
-    wide = widest(image.device)
-    w, v, y = (t.to(wide) for t in (weights, image, measured))
-    return float(total(w * v * (y - total(w * y) / total(w).clamp(min=1e-30))))
 
 
 def _inside_alone(slope: float) -> Light:

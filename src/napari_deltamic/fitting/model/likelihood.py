@@ -20,6 +20,7 @@ from ...geometry.mesh import FloatArray
 from ...scene.effects import DetectorEffect
 
 _BLOCK = 4096  # values that are added up in one go, so that each sum stays in the cache
+_EVEN = 1e-12  # of squares, by definition: what columns vary by less is the rounding of their sums
 
 
 @dataclass(frozen=True)
@@ -196,20 +197,23 @@ def _totals(rows: Tensor) -> Tensor:
 
 def _moments(columns: Sequence[Tensor], weights: Tensor, tiny: float) -> tuple[Tensor, Tensor]:
     """(K, K) weighted products of columns less their weighted means, and those (K,)."""
-    rows = torch.stack(tuple(columns))
-    means = _totals(weights * rows) / total(weights).clamp(min=tiny)
-    return _products(rows - means[:, None], weights), means
+    if len(weights) and compiled(weights.device):
+        # In double precision, a mean of a thousand deviations costs six of sixteen digits.
+        found = compiled_products([*columns, torch.ones_like(weights)], weights)
+        sums, held = found[-1, :-1], max(found[-1, -1], tiny)
+        moments = found[:-1, :-1] - np.outer(sums, sums) / held
+        even = np.diag(moments) < _EVEN * np.diag(found)[:-1]
+        moments[even] = moments[:, even] = 0.0
+        return torch.from_numpy(moments), torch.from_numpy(sums / held)
+    wide = widest(weights.device)
+    w, rows = weights.to(wide), torch.stack([column.to(wide) for column in columns])
+    means = _totals(w * rows) / total(w).clamp(min=tiny)
+    return _products(rows - means[:, None], w), means
 
 
 def centred_products(columns: Sequence[Tensor], weights: Tensor) -> FloatArray:
     """Like :func:`products`, after the weighted means of columns are subtracted."""
-    if len(weights) and compiled(weights.device):
-        # In double precision, a mean of a thousand deviations costs six of sixteen digits.
-        found: FloatArray = compiled_products([*columns, torch.ones_like(weights)], weights)
-        sums = found[-1, :-1]
-        return found[:-1, :-1] - np.outer(sums, sums) / max(found[-1, -1], 1e-30)
-    wide = widest(weights.device)
-    moments, _ = _moments([column.to(wide) for column in columns], weights.to(wide), 1e-30)
+    moments, _ = _moments(columns, weights, 1e-30)
     return moments.cpu().numpy().astype(np.float64)
 
 
@@ -228,8 +232,7 @@ def _scale(rendered: Tensor, measured: Tensor, weights: Tensor) -> Tensor:
     its weighted mean."""
     wide = widest(rendered.device)
     tiny = 1e-300 if wide == torch.float64 else 1e-30
-    w, m, y = (t.to(wide) for t in (weights, rendered, measured))
-    moments, (mean_m, mean_y) = _moments([m, y], w, tiny)
+    moments, (mean_m, mean_y) = _moments([rendered, measured], weights, tiny)
     (squares, shared), (_, var_y) = moments
     varies, var_m = squares > 0, squares.clamp(min=tiny)
     least = RULES.least * torch.sqrt(var_y / var_m)

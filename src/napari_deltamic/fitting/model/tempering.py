@@ -35,11 +35,19 @@ def block_sums(
     values: FloatArray, index: np.ndarray, shape: tuple[int, int, int], widths: Sequence[float]
 ) -> FloatArray:
     """(B,) sums of values (N,) over each block of an image; see :func:`tempered_variance`."""
+    block, count = _blocks(index, shape, widths)
+    return np.asarray(np.bincount(block, values, count), np.float64)
+
+
+def _blocks(
+    index: np.ndarray, shape: tuple[int, int, int], widths: Sequence[float]
+) -> tuple[np.ndarray, int]:
+    """(N,) the block of each voxel, and how many blocks there are."""
     side = np.maximum(1, np.ceil(RULES.block * np.asarray(widths))).astype(np.int64)
-    at = np.stack(np.unravel_index(index, shape)) // side[:, None]
+    z, y, x = (np.arange(n) // s for n, s in zip(shape, side.tolist(), strict=True))
     counts = -(-np.asarray(shape) // side)
-    block = np.ravel_multi_index(tuple(at), tuple(counts))
-    return np.asarray(np.bincount(block, values, int(np.prod(counts))), np.float64)
+    table = (z[:, None, None] * counts[1] + y[:, None]) * counts[2] + x
+    return table.reshape(-1)[index], int(np.prod(counts))
 
 
 def block_centres(shape: tuple[int, int, int], widths: Sequence[float]) -> FloatArray:
@@ -76,9 +84,10 @@ def tempered_variance(
     least
         What it is at least.
     """
-    held = block_sums(np.ones(len(index)), index, shape, widths)
+    block, count = _blocks(index, shape, widths)
+    held = np.bincount(block, minlength=count)
     full = held >= RULES.fewest
-    squares = block_sums(residual, index, shape, widths)[full] ** 2 / held[full]
+    squares = np.bincount(block, residual, count)[full] ** 2 / held[full]
     alone = float(np.mean(residual**2))
     together = float(np.median(squares)) / MEDIAN_SQUARE if full.any() else alone
     return max(alone, together, least)
