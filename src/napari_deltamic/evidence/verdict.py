@@ -92,9 +92,10 @@ class Verdict:
 def judged(facts: Facts) -> Verdict:
     """The verdict that follows from facts.
 
-    The worse grade counts once at least half of the cells have it, so that one bad cell does not
-    spoil the rest; reasons that concern the whole fit lower it, too. Doubts about what all cells
-    share, such as the PSF or what is labelled, are doubts about each cell as well.
+    The worse grade counts once at least half of the cells have it, so that one bad cell of many
+    does not spoil the rest; with more poor cells than a few, the whole is fair at best. Reasons
+    that concern the whole fit lower it, too. Doubts about what all cells share, such as the PSF or
+    what is labelled, are doubts about each cell as well.
     """
     doubts = [found for check in SHARED_CHECKS if (found := check(facts))]
     reasons = [*(found for check in FIT_CHECKS if (found := check(facts))), *doubts]
@@ -106,6 +107,8 @@ def judged(facts: Facts) -> Verdict:
             continue
         if 2 * sum(GRADES.index(c.grade) >= GRADES.index(word) for c in cells) >= len(cells):
             grade = worst((grade, word))
+        elif word == "poor" and len(bad) > RULES.astray * len(cells):
+            grade = worst((grade, "fair"))
         if len(cells) == 1:
             reasons += [r for r in cells[0].reasons if r.text not in texts(reasons)]
         else:
