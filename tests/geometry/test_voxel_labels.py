@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
-from scipy import ndimage
 from test_mesh import two_cubes
 
 from napari_deltamic.geometry import sphere
 from napari_deltamic.geometry.foam import foam
-from napari_deltamic.geometry.labels.voxels import voxel_labels, widened_mask
+from napari_deltamic.geometry.labels.voxels import ranked, voxel_labels
 
 
 def test_voxels_of_two_cubes_that_share_a_wall():
@@ -52,10 +51,11 @@ def test_lines_through_vertices_do_not_leak():
         assert (labels == 1).sum() == pytest.approx(snapped.region_volume(1), rel=0.15)
 
 
-@pytest.mark.parametrize("far", [(0, 1, 2), (3, 0, 7), (40, 5, 6)])
-def test_a_widened_mask_is_a_box_around_each_voxel(far):
-    mask = np.random.default_rng(0).random((9, 20, 31)) > 0.995
-    before = mask.copy()
-    told = ndimage.maximum_filter(mask, [2 * n + 1 for n in far], mode="constant")
-    assert np.array_equal(widened_mask(mask, far), told)
-    assert np.array_equal(mask, before)
+@pytest.mark.parametrize("largest", [9, 1 << 40])
+def test_labels_by_rank(largest):
+    labels = np.array([[[0, 7, 7], [-2, 3, largest]]])
+    names, ranks = ranked(labels)
+    assert names.tolist() == [0, 3, 7, largest]
+    assert ranks.tolist() == [[[0, 2, 2], [0, 1, 3]]]
+    assert ranked(np.full((1, 1, 2), 5))[0].tolist() == [0, 5]
+    assert ranked(np.zeros((0, 1, 2), int))[0].tolist() == [0]

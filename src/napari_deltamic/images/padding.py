@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ..common.widened_mask import widened_mask
+
 Mask = NDArray[np.bool_]
 
 
@@ -124,7 +126,7 @@ def _around(image: NDArray[Any], value: Any) -> Mask | None:
     region = ndimage.binary_dilation(region, _BLOCK, _CORNERS, mask=equal)
     grown = [region]
     for _ in range(RULES.smeared + 3):
-        grown.append(ndimage.binary_dilation(grown[-1], _BLOCK))
+        grown.append(widened_mask(grown[-1], (1, 1, 1)))
     away = np.abs(image.astype(np.float64) - float(value))
     rings = [away[b & ~a & np.isfinite(away)] for a, b in pairwise(grown)]
     for smeared in range(RULES.smeared + 1):
@@ -135,8 +137,8 @@ def _around(image: NDArray[Any], value: Any) -> Mask | None:
 
 def _from_border(equal: Mask) -> Mask:
     """Mask of connected blocks of 3^3 voxels that reach the border; beyond it counts as equal."""
-    core = ndimage.binary_erosion(equal, _BLOCK, border_value=1)
-    solid = ndimage.binary_dilation(core, _BLOCK) & equal
+    core = ~widened_mask(~equal, (1, 1, 1))
+    solid = widened_mask(core, (1, 1, 1)) & equal
     parts = ndimage.label(solid)[0]
     reached = np.zeros(int(parts.max()) + 1, bool)
     for face in _faces(parts):

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 from skimage.transform import downscale_local_mean
 
+from ...common.widened_mask import widened_mask
 from ...geometry.gaussian_blur import blurred
-from ...geometry.labels.voxels import widened, widened_mask
+from ...geometry.labels.voxels import widened
 from ...geometry.mesh import FloatArray
 
 

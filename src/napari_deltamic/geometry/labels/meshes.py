@@ -26,7 +26,7 @@ from .label_repair import repair_labels, share_out_gaps
 from .partition import TooCoarse, partition_mesh, with_volumes
 from .surface_nets import closed_surface
 from .thin_parts import cut_off
-from .voxels import box_around, largest_part
+from .voxels import box_around, largest_part, ranked
 from .whole_cells import whole_cells
 
 EDGE_IN_VOXELS = 3.0
@@ -189,7 +189,7 @@ def _cut_short(shares: dict[int, float]) -> str:
 
 def _edge_in_voxels(labels: IntArray, size: FloatArray) -> float:
     """Return the edge length in smallest voxel sides; shorter if most labels are small."""
-    counts = np.bincount(np.unique(labels[labels > 0], return_inverse=True)[1])
+    counts = np.bincount(ranked(labels)[1].ravel())[1:]
     if not len(counts):
         return EDGE_IN_VOXELS
     radius = ball_radius(np.median(counts) * size.prod()) / size.min()

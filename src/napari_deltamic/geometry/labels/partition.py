@@ -17,6 +17,7 @@ from ..distance_transform import distance_transform
 from ..mesh import OUTSIDE, FloatArray, IntArray, Mesh
 from ..vectors import lengths
 from .dual_net import TRIANGLES, check_nodes, dual_net, field_smoothing
+from .voxels import ranked
 
 # Of repairs: crowded labels hardly larger than an edge took up to 38 rounds, usual ones one.
 _ROUNDS = 100
@@ -149,8 +150,7 @@ def _compete(labels: IntArray, size: FloatArray, edge: float, raised: bool, thin
     shape = np.ceil((np.array(labels.shape) * size + 2 * room) / edge) + 1
     check_nodes(shape, edge)
     nodes = _Nodes(-room, shape.astype(int))
-    names = np.unique(labels[labels > 0])
-    numbers = np.where(labels > 0, np.searchsorted(names, labels) + 1, 0)
+    names, numbers = ranked(labels)
     around = np.ceil((3 * sigma + 3 * edge) / size).astype(int) + 1
     whole = tuple(slice(0, n) for n in labels.shape)
     boxes = [whole, *ndimage.find_objects(numbers)]
@@ -172,11 +172,11 @@ def _compete(labels: IntArray, size: FloatArray, edge: float, raised: bool, thin
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         for number, (where, values) in enumerate(pool.map(field, range(len(boxes)))):
             doing()
-            nodes.enter(int(names[number - 1]) if number else 0, where, values)
+            nodes.enter(int(names[number]), where, values)
     return nodes
 
 
-def _cut(numbers: IntArray, start: IntArray, stop: IntArray) -> IntArray:
+def _cut(numbers: NDArray[np.integer], start: IntArray, stop: IntArray) -> NDArray[np.integer]:
     """Return a box of label numbers, 0 beyond the image."""
     low, high = np.clip(start, 0, None), np.minimum(stop, numbers.shape)
     box = numbers[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]

@@ -160,6 +160,20 @@ def largest_part(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask if count < 2 else parts == 1 + np.bincount(parts.ravel())[1:].argmax()
 
 
+def ranked(labels: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.int32]]:
+    """Return the numbers of labels, 0 and rising, and the labels by their place among these.
+
+    What is below 0 counts as 0. Numbers may be huge.
+    """
+    labels = labels.clip(0)
+    if labels.max(initial=0) > labels.size:
+        names, ranks = np.unique(np.append(0, labels), return_inverse=True)
+        return names, ranks[1:].reshape(labels.shape).astype(np.int32)
+    there = np.bincount(labels.ravel(), minlength=1) > 0
+    there[0] = True
+    return np.flatnonzero(there), (np.cumsum(there) - 1).astype(np.int32)[labels]
+
+
 def renumbered(labels: NDArray[np.integer], kept: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Keep some of the labels from 1 and number them from 1 again; the others become 0."""
     numbers = np.append(0, np.where(kept, np.cumsum(kept), 0)).astype(np.int32)
@@ -173,25 +187,6 @@ def depths(mask: NDArray[np.bool_], size: VoxelSize = 1.0) -> FloatArray:
     """
     deep = distance_transform(np.pad(mask, 1), size)
     return np.asarray(deep[1:-1, 1:-1, 1:-1])
-
-
-def widened_mask(
-    mask: NDArray[np.bool_], far: Sequence[int] | NDArray[np.integer]
-) -> NDArray[np.bool_]:
-    """Whether voxels lie within so many voxels of a mask along each axis: in a box around it.
-
-    By ever wider windows, each the union of two: 4 times as fast as SciPy's maximum filter.
-    """
-    near = mask.copy()
-    for axis, reach in enumerate(far):
-        rows = np.moveaxis(near, axis, 0)  # a view: what is written there is written to `near`
-        for way in (rows, rows[::-1]):
-            width = 1  # of the window up to each voxel
-            while width <= reach:
-                more = min(width, reach + 1 - width)
-                way[more:] |= way[:-more].copy("K")
-                width += more
-    return near
 
 
 def box_around(*boxes: tuple[slice, ...]) -> tuple[slice, ...]:

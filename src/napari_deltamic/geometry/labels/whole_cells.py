@@ -21,7 +21,7 @@ from ..distance_transform import distance_transform
 from ..mesh import FloatArray
 from .basins import noise_after
 from .regions_at_points import closed_regions
-from .voxels import box_around, depths, widened
+from .voxels import box_around, depths, ranked, widened
 
 Labels = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -126,18 +126,17 @@ def whole_cells(image: FloatArray, labels: Labels, size: FloatArray) -> tuple[La
     size
         (3,) um of a voxel.
     """
-    names, ranks = np.unique(np.append(0, labels), return_inverse=True)  # names may be huge
-    ranked = ranks[1:].reshape(labels.shape).astype(np.int32)
+    names, numbers = ranked(labels)
     data, sigma = image.astype(np.float64), float(size.min()) / size
     smooth = ndimage.gaussian_filter(data, sigma, mode="nearest")
     seen = _Seen(data, smooth, size, noise_after(data, sigma))
-    known = dict(_each(ranked, size))
-    marks = [k for k, one in known.items() if _ends_on_nothing(seen, ranked, k, one)]
+    known = dict(_each(numbers, size))
+    marks = [k for k, one in known.items() if _ends_on_nothing(seen, numbers, k, one)]
     if not marks:
         return labels, []
     asked = known if len(marks) >= RULES.most * len(known) else {k: known[k] for k in marks}
-    result, changed = ranked.copy(), list[int]()
-    found = [find(seen, ranked, asked) for find in (_regions, _between)]
+    result, changed = numbers.copy(), list[int]()
+    found = [find(seen, numbers, asked) for find in (_regions, _between)]
     boxes = [ndimage.find_objects(one, len(known)) for one in found]
     for k in asked:
         doing()
@@ -146,7 +145,7 @@ def whole_cells(image: FloatArray, labels: Labels, size: FloatArray) -> tuple[La
             for one, box in zip(found, boxes, strict=True)
             if box[k - 1] is not None
         ]
-        fit = [one for one in regions if one.is_of(seen, ranked, known)]
+        fit = [one for one in regions if one.is_of(seen, numbers, known)]
         if fit:
             min(fit, key=lambda one: one.voxels).fill(result)
             changed.append(int(names[k]))
