@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import pytest
 import torch
 
-from napari_deltamic.common.one_thread import in_one_thread, one_thread
+from napari_deltamic.common import one_thread as module
+from napari_deltamic.common.one_thread import in_one_thread, one_thread, product
 
 
 @pytest.fixture
@@ -59,3 +62,24 @@ def test_a_gradient_may_be_asked_for_twice():
     first, second = (torch.autograd.grad(found, x, retain_graph=True)[0] for _ in range(2))
     assert torch.equal(first, second)
     assert torch.equal(first, 2 * x)
+
+
+@pytest.mark.parametrize("kinds", [("cdouble", "cdouble"), ("cdouble", "double")])
+@pytest.mark.parametrize("shapes", [((4, 3), (4, 3)), ((2, 4, 3), (4, 3)), ((4, 1), (2, 1, 3))])
+def test_gradients_of_a_product_are_right(kinds, shapes):
+    a, b = (
+        torch.randn(shape, dtype=getattr(torch, kind), requires_grad=True)
+        for shape, kind in zip(shapes, kinds, strict=True)
+    )
+    assert torch.equal(product(a, b), a * b)
+    assert torch.autograd.gradcheck(product, (a, b))
+    assert torch.autograd.gradcheck(lambda one: product(a.detach(), one), (b,))
+    assert not product(a.detach(), b.detach()).requires_grad
+
+
+def test_a_product_runs_in_one_thread(two_threads, monkeypatch):
+    threads = []
+    monkeypatch.setattr(module, "one_thread", lambda: threads.append(1) or nullcontext())
+    x = torch.ones(3, requires_grad=True)
+    product(x, x.detach()).sum().backward()
+    assert threads == [1, 1]

@@ -58,3 +58,37 @@ class _InOneThread(torch.autograd.Function):
             given = torch.autograd.grad(total, asked, retain_graph=True, allow_unused=True)
         found = iter(given)
         return (None, *(next(found) if one.requires_grad else None for one in ctx.leaves))
+
+
+def product(one: Tensor, other: Tensor) -> Tensor:
+    """The product of two tensors, with value and gradient computed in one thread.
+
+    Like :func:`in_one_thread` of it, in half the time. Differentiable once.
+    """
+    if one.device.type != "cpu":
+        return one * other
+    found: Tensor = _Product.apply(one, other)
+    return found
+
+
+class _Product(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, one: Tensor, other: Tensor) -> Tensor:
+        ctx.save_for_backward(one, other)
+        with one_thread():
+            return one * other
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, pull: Tensor) -> tuple[Tensor | None, ...]:
+        factors = ctx.saved_tensors
+
+        def by(factor: Tensor, other: Tensor) -> Tensor:
+            found = pull * other.conj()
+            if not factor.is_complex():
+                found = found.real
+            return found.sum_to_size(factor.shape)
+
+        with one_thread():
+            given = zip(ctx.needs_input_grad, factors, factors[::-1], strict=True)
+            return tuple(by(own, other) if needed else None for needed, own, other in given)

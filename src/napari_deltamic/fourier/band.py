@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from ..common.kept import kept
-from ..common.one_thread import in_one_thread
+from ..common.one_thread import product
 from .real_fft import RealFFT
 
 
@@ -148,7 +148,7 @@ class Band:
         is the amount in each voxel. known : the result, if only its gradients are wanted.
         """
         if otf is not None and (otf.requires_grad or otf.is_complex() or otf.shape != box.shape):
-            box, otf = in_one_thread(torch.mul, box, otf), None
+            box, otf = product(box, otf), None
         return _Image.apply(box, otf, self._inverse_to(shape), known)
 
     @kept

@@ -7,7 +7,7 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from ..common.one_thread import in_one_thread
+from ..common.one_thread import product
 from ..errors import InputError
 from ..fourier import Band
 from ..optics import Optics
@@ -91,7 +91,7 @@ class Formation:
         if self.effects.depth is None:
             image = band.to_image(transform, self.grid.shape, otf, known if self.is_plain else None)
         else:
-            image = band.to_image(in_one_thread(torch.mul, transform, otf).sum(0), self.grid.shape)
+            image = band.to_image(product(transform, otf).sum(0), self.grid.shape)
         self._gains = [gain.to(image) for gain in self._gains]  # moved only once
         for gain in self._gains:
             image = image * gain
