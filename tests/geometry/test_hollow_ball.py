@@ -73,3 +73,21 @@ def test_whole_numbers_are_as_good():
     whole = np.minimum(image(20.0), 255).astype(np.uint8)
     same = hollow_ball(whole.astype(float), SIZE, MIDDLE)
     assert hollow_ball(whole, SIZE, MIDDLE).radius == same.radius
+
+
+def small_cell():
+    """A clear, uneven cell whose dark inside is a few voxels wide, and bright things beside it."""
+    at = np.indices((25, 25, 25)) - 12
+    light = np.exp(-(((np.linalg.norm(at, axis=0) - 3.6) / 1.6) ** 2) / 2) * (1 + 0.9 * at[2] / 12)
+    for other in ((-7, -7, 5), (-12, -6, 0), (0, 3, -12), (8, 6, -8)):
+        far = np.linalg.norm(at - np.reshape(other, (3, 1, 1, 1)), axis=0)
+        light += 4 * np.exp(-((far / 2.5) ** 2) / 2)
+    return np.random.default_rng(0).poisson(20 + 400 * light).astype(float)
+
+
+def test_a_point_in_a_small_clear_cell_names_it():
+    stack, size, middle = small_cell(), np.ones(3), np.full(3, 12)
+    assert hollow_ball(stack, size, middle) is None  # the cell itself looks like blurred noise
+    assert hollow_ball(stack, size, middle, closed=True).radius == pytest.approx(3.6, rel=0.1)
+    labels = labels_from_points(stack, size, [middle])
+    assert np.cbrt(3 * np.count_nonzero(labels == 1) / 4 / np.pi) == pytest.approx(3.6, rel=0.2)

@@ -1,4 +1,4 @@
-"""The compiled extension for remeshing and for keeping surfaces apart."""
+"""The compiled extension for meshes and stacks: remeshing, contacts, distances, blurs."""
 
 from __future__ import annotations
 

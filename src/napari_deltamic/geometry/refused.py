@@ -15,10 +15,12 @@ class Refused:
 
     text : a sentence that names the points, from 1.
     points : their numbers; the last one is left out.
+    closed : whether a region is closed around it, but too small.
     """
 
     text: str
     points: tuple[int, ...]
+    closed: bool = False
 
 
 _NAMED = 12  # of those that are left out for one reason; chosen: two lines of the window

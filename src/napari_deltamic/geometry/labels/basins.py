@@ -48,6 +48,14 @@ class _Basin:
     node: int  # position in path of the last component before the leak
 
 
+@dataclass(frozen=True)
+class _NoBasin:
+    """What is wrong with a point; closed : whether its region is only too small."""
+
+    text: str
+    closed: bool = False
+
+
 def label_basins(
     data: FloatArray, size: FloatArray, voxels: IntArray, names: list[int]
 ) -> tuple[NDArray[np.int32], list[Refused]]:
@@ -119,8 +127,8 @@ def _basins(
     refused = []
     for voxel, name in zip(voxels, names, strict=True):
         basin = _find_basin(tree, _descend(ranked, voxel), size, least)
-        if isinstance(basin, str):
-            refused.append(Refused(f"point {name} {basin}", (name,)))
+        if isinstance(basin, _NoBasin):
+            refused.append(Refused(f"point {name} {basin.text}", (name,), basin.closed))
         else:
             found[name] = basin
     return found, refused
@@ -228,10 +236,10 @@ def _descend(ranked: Ranks, voxel: IntArray) -> int:
         here = tuple(c + int(s) for c, s in zip(corner, step, strict=True))
 
 
-def _find_basin(tree: _Tree, low: int, size: FloatArray, least: float) -> _Basin | str:
+def _find_basin(tree: _Tree, low: int, size: FloatArray, least: float) -> _Basin | _NoBasin:
     """Follow the flood from a minimum and stop it before the leap that is the leak.
 
-    Returns a text that says what is wrong with the point if there is no such leap.
+    There may be no such leap, or only one of few voxels.
     """
     path = [low]
     while tree.parent[path[-1]] != path[-1]:
@@ -250,11 +258,12 @@ def _find_basin(tree: _Tree, low: int, size: FloatArray, least: float) -> _Basin
         leap = np.where(fair, leap, 0)
         node = int(leap.argmax())
     if not leap.any():
-        return "lies in no closed region of the image: give it a radius, or move it"
+        return _NoBasin("lies in no closed region of the image: give it a radius, or move it")
     if volume[node] < BASINS.fewest:
-        return (
+        return _NoBasin(
             f"lies in no closed region of the image (only {volume[node]:.0f} voxels around it): it "
-            "may be on a membrane or in the background"
+            "may be on a membrane or in the background",
+            closed=True,
         )
     return _Basin(nodes, node)
 

@@ -54,10 +54,10 @@ def regions_at(
     labels, left = closed_regions(data, size, voxels, names)
     sharper = in_focus(data, size) if left else data
     at = dict(zip(names, voxels, strict=True))
-    for name in [k for k, one in left.items() if len(one.points) == 1]:
+    for name, closed in [(k, one.closed) for k, one in left.items() if len(one.points) == 1]:
         if (labels == name).any():
             continue
-        for box, within in _balls(sharper, size, at[name]):
+        for box, within in _balls(sharper, size, at[name], closed):
             if not labels[box][within].any():  # else it may reach over them
                 labels[box][within] = name
                 del left[name]
@@ -66,10 +66,13 @@ def regions_at(
 
 
 def _balls(
-    data: FloatArray, size: FloatArray, voxel: IntArray
+    data: FloatArray, size: FloatArray, voxel: IntArray, closed: bool
 ) -> Iterator[tuple[tuple[slice, ...], NDArray[np.bool_]]]:
-    """Yield balls around a voxel, a hollow then a bright one, as boxes with masks."""
-    hollow = hollow_ball(data, size, voxel)
+    """Yield balls around a voxel, a hollow then a bright one, as boxes with masks.
+
+    closed : whether a region, too small to be a cell, is closed around it.
+    """
+    hollow = hollow_ball(data, size, voxel, closed)
     if hollow is not None:
         yield ball_at(data.shape, size, hollow.middle, hollow.radius)
     ball = bright_ball(data, size, voxel)
