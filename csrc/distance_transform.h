@@ -20,13 +20,15 @@ constexpr double none = std::numeric_limits<double>::infinity();
 constexpr std::size_t together = 16;  // columns read side by side along y: two cache lines of them
 constexpr double cost = 10;           // ns per voxel, measured
 
-// What lines of at most n voxels need while they are worked on.
+// What a worker needs for lines of at most n voxels, and for rows of nx along z. Made before the
+// threads are, in which nothing can be told of memory that runs out.
 struct Scratch {
-    explicit Scratch(std::size_t n) : site(n), from(n + 1), before(n), at(n) {}
+    Scratch(std::size_t n, std::size_t nx) : site(n), from(n + 1), before(n), at(n), last(nx) {}
     std::vector<std::size_t> site;    // where the parabolas of the envelope have their minima
     std::vector<double> from;         // where each begins to be the lowest
     std::vector<double> before;       // the line before this axis
     std::vector<std::int64_t> at;     // and its nearest voxels
+    std::vector<std::int64_t> last;   // the last voxel outside, of each column
 };
 
 // One line, `apart` numbers between voxels: squared distances, and the nearest voxels if they are asked
@@ -63,10 +65,10 @@ inline void add_axis(double* squared, std::int64_t* nearest, std::size_t n, std:
 
 // The columns along z of one y, the first axis.
 inline void begin(const std::uint8_t* mask, double* squared, std::int64_t* nearest, const std::array<std::size_t, 3>& shape,
-                  std::size_t y, double size) {
+                  std::size_t y, double size, std::vector<std::int64_t>& last) {
     const std::size_t nz = shape[0], nx = shape[2], plane = shape[1] * nx;
     const auto column = static_cast<std::int64_t>(y * nx);
-    std::vector<std::int64_t> last(nx, -1);
+    std::fill(last.begin(), last.end(), -1);
     for (std::size_t z = 0; z < nz; ++z) {  // the last voxel outside, up to here
         const std::size_t row = z * plane + y * nx;
         for (std::size_t x = 0; x < nx; ++x) {
@@ -86,7 +88,8 @@ inline void begin(const std::uint8_t* mask, double* squared, std::int64_t* neare
             const double along = static_cast<double>(std::min(down, up)) * size;
             const bool any = below >= 0 || last[x] >= 0;
             squared[row + x] = any ? along * along : none;
-            if (nearest) nearest[row + x] = (down <= up ? below : last[x]) * static_cast<std::int64_t>(plane) + column + static_cast<std::int64_t>(x);
+            const std::int64_t at = down <= up ? below : last[x];
+            if (nearest) nearest[row + x] = at * static_cast<std::int64_t>(plane) + column + static_cast<std::int64_t>(x);
         }
     }
 }
@@ -99,9 +102,10 @@ inline void distance_transform(const std::uint8_t* mask, const std::array<std::s
     const std::size_t longest = std::max(ny, nx), blocks = (nx + together - 1) / together;
     deltamic_api::Team team(deltamic_api::worth(cost * static_cast<double>(nz * ny * nx), threads));
     const auto of = [&](std::size_t i) { return nearest ? nearest + i : nullptr; };
-    team.run([&](int) {
-        Scratch scratch(longest);
-        team.each(ny, [&](std::size_t y) { begin(mask, distance, nearest, shape, y, size[0]); });
+    std::vector<Scratch> of_workers(static_cast<std::size_t>(team.size()), Scratch(longest, nx));
+    team.run([&](int worker) {
+        Scratch& scratch = of_workers[static_cast<std::size_t>(worker)];
+        team.each(ny, [&](std::size_t y) { begin(mask, distance, nearest, shape, y, size[0], scratch.last); });
         team.each(nz * blocks, [&](std::size_t i) {
             const std::size_t z = i / blocks, first = i % blocks * together, last = std::min(first + together, nx);
             for (std::size_t x = first; x < last; ++x)

@@ -47,14 +47,21 @@ inline void along(float* row, const Weights& weights, std::size_t n, float* padd
     for (std::size_t k = 1; k <= far; ++k) add(padded + far - k, padded + far + k, weights[k], n, row);
 }
 
+// What a worker needs. Made before the threads are, in which nothing can be told of memory that runs out.
+struct Scratch {
+    std::vector<float> before, padded;
+};
+
 inline void blur(const float* image, const std::array<std::size_t, 3>& shape, const std::array<Weights, 3>& weights, float* to,
                  int threads) {
     const std::size_t nz = shape[0], ny = shape[1], nx = shape[2];
     const std::size_t plane = ny * nx, pairs = weights[0].size() + weights[1].size() + weights[2].size();
     deltamic_api::Team team(deltamic_api::worth(cost * static_cast<double>(nz * plane * pairs), threads));
-    team.run([&](int) {
-        std::vector<float> before(weights[1].empty() ? 0 : plane);
-        std::vector<float> padded(weights[2].empty() ? 0 : nx + 2 * (weights[2].size() - 1));
+    const std::size_t room = weights[2].empty() ? 0 : nx + 2 * (weights[2].size() - 1);
+    const Scratch one{std::vector<float>(weights[1].empty() ? 0 : plane), std::vector<float>(room)};
+    std::vector<Scratch> of_workers(static_cast<std::size_t>(team.size()), one);
+    team.run([&](int worker) {
+        Scratch& scratch = of_workers[static_cast<std::size_t>(worker)];
         team.each(ny, [&](std::size_t y) {  // row by row, so that what is read stays near
             for (std::size_t z = 0; z < nz; ++z) {
                 float* const own = to + z * plane + y * nx;
@@ -64,10 +71,10 @@ inline void blur(const float* image, const std::array<std::size_t, 3>& shape, co
         });
         team.each(nz, [&](std::size_t z) {
             float* const own = to + z * plane;
-            if (!weights[1].empty()) std::copy_n(own, plane, before.data());
+            if (!weights[1].empty()) std::copy_n(own, plane, scratch.before.data());
             for (std::size_t y = 0; y < ny; ++y) {
-                if (!weights[1].empty()) across(before.data(), y, ny, nx, weights[1], nx, own + y * nx);
-                if (!weights[2].empty()) along(own + y * nx, weights[2], nx, padded.data());
+                if (!weights[1].empty()) across(scratch.before.data(), y, ny, nx, weights[1], nx, own + y * nx);
+                if (!weights[2].empty()) along(own + y * nx, weights[2], nx, scratch.padded.data());
             }
         });
     });
