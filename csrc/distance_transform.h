@@ -40,12 +40,11 @@ inline void add_axis(double* squared, std::int64_t* nearest, std::size_t n, std:
         const double own = s.before[q] = squared[q * apart];
         if (nearest) s.at[q] = nearest[q * apart];
         if (own == none) continue;
-        const double here = own + size * size * static_cast<double>(q) * static_cast<double>(q);
         double meet = -none;
         for (; count > 0; --count) {
             const std::size_t p = s.site[count - 1];
-            const double there = s.before[p] + size * size * static_cast<double>(p) * static_cast<double>(p);
-            meet = (here - there) / (twice * static_cast<double>(q - p));
+            // Half way, and off it: squares of places would cost digits along long axes.
+            meet = (own - s.before[p]) / (twice * static_cast<double>(q - p)) + 0.5 * static_cast<double>(p + q);
             if (meet > s.from[count - 1]) break;
         }
         s.site[count] = q;

@@ -118,15 +118,16 @@ nb::tuple explain(Array<const T> image, Array<const std::int64_t> index, Array<c
 
 constexpr size_t most_columns = 64;  // of products; what is solved for at a time is far less
 
-// Weighted products of columns, each with each, in double precision.
+// Weighted products of columns less a number each, each with each, in double precision.
 template <class T>
 nb::ndarray<nb::numpy, double> products(const std::vector<Array<const T>>& columns, Array<const T> weights,
-                                        int threads) {
+                                        const std::vector<double>& less, int threads) {
     using namespace deltamic_checks;
     const size_t k = columns.size(), n = weights.size();
     require(k >= 1 && k <= most_columns, "1 to 64 columns are needed");
     require(weights.ndim() == 1, "weights: (N,)");
     for (const auto& column : columns) has_shape(column, "a column", {n});
+    require(less.size() == k, "one number per column is needed");
     thread_count(threads);
     const size_t blocks = (n + block - 1) / block;
     std::vector<double> parts(blocks * k * k);
@@ -135,21 +136,24 @@ nb::ndarray<nb::numpy, double> products(const std::vector<Array<const T>>& colum
     {
         nb::gil_scoped_release others_may_run;
         Team team(worth(0.5 * n * k * (k + 3), threads));
-        team.run([&](int) {
-            std::vector<double> weighted(block);
+        // Made before the threads are, in which nothing can be told of memory that runs out.
+        std::vector<double> of_workers(block * static_cast<size_t>(team.size()));
+        team.run([&](int worker) {
+            double* const weighted = of_workers.data() + block * static_cast<size_t>(worker);
             team.each(blocks, [&](size_t b) {
                 const size_t first = b * block, count = std::min(n - first, block);
                 double* own = parts.data() + b * k * k;
                 for (size_t i = 0; i < k; ++i) {
                     const T *one = columns[i].data() + first, *w = weights.data() + first;
-                    for (size_t at = 0; at < count; ++at) weighted[at] = static_cast<double>(w[at]) * one[at];
+                    for (size_t at = 0; at < count; ++at) weighted[at] = w[at] * (one[at] - less[i]);
                     for (size_t j = i; j < k; ++j) {
                         const T* other = columns[j].data() + first;
+                        const double its_level = less[j];
                         double sum[lanes] = {};  // side by side, or each addition waits for the one before
                         size_t at = 0;
                         for (; at + lanes <= count; at += lanes)
-                            for (size_t l = 0; l < lanes; ++l) sum[l] += weighted[at + l] * other[at + l];
-                        for (; at < count; ++at) sum[0] += weighted[at] * other[at];
+                            for (size_t l = 0; l < lanes; ++l) sum[l] += weighted[at + l] * (other[at + l] - its_level);
+                        for (; at < count; ++at) sum[0] += weighted[at] * (other[at] - its_level);
                         own[i * k + j] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
                     }
                 }

@@ -13,6 +13,7 @@
 namespace deltamic_blur {
 
 constexpr double cost = 0.5;  // ns per voxel and pair of neighbours along an axis, measured
+constexpr std::size_t together = 256;  // voxels along x of a strip that is blurred along y: it stays in the cache
 
 // weights[k]: of both voxels k away. None: the axis is left as it is.
 using Weights = std::vector<float>;
@@ -56,10 +57,14 @@ inline void blur(const float* image, const std::array<std::size_t, 3>& shape, co
                  int threads) {
     const std::size_t nz = shape[0], ny = shape[1], nx = shape[2];
     const std::size_t plane = ny * nx, pairs = weights[0].size() + weights[1].size() + weights[2].size();
+    const std::size_t strips = (nx + together - 1) / together;
     deltamic_api::Team team(deltamic_api::worth(cost * static_cast<double>(nz * plane * pairs), threads));
     const std::size_t room = weights[2].empty() ? 0 : nx + 2 * (weights[2].size() - 1);
-    const Scratch one{std::vector<float>(weights[1].empty() ? 0 : plane), std::vector<float>(room)};
-    std::vector<Scratch> of_workers(static_cast<std::size_t>(team.size()), one);
+    std::vector<Scratch> of_workers(static_cast<std::size_t>(team.size()));
+    for (Scratch& scratch : of_workers) {
+        scratch.before.resize(weights[1].empty() ? 0 : ny * std::min(nx, together));
+        scratch.padded.resize(room);
+    }
     team.run([&](int worker) {
         Scratch& scratch = of_workers[static_cast<std::size_t>(worker)];
         team.each(ny, [&](std::size_t y) {  // row by row, so that what is read stays near
@@ -69,14 +74,18 @@ inline void blur(const float* image, const std::array<std::size_t, 3>& shape, co
                 else across(image + y * nx, z, nz, plane, weights[0], nx, own);
             }
         });
-        team.each(nz, [&](std::size_t z) {
-            float* const own = to + z * plane;
-            if (!weights[1].empty()) std::copy_n(own, plane, scratch.before.data());
-            for (std::size_t y = 0; y < ny; ++y) {
-                if (!weights[1].empty()) across(scratch.before.data(), y, ny, nx, weights[1], nx, own + y * nx);
-                if (!weights[2].empty()) along(own + y * nx, weights[2], nx, scratch.padded.data());
-            }
-        });
+        if (!weights[1].empty()) {
+            team.each(nz * strips, [&](std::size_t i) {
+                const std::size_t first = i % strips * together, width = std::min(together, nx - first);
+                float* const own = to + i / strips * plane + first;
+                for (std::size_t y = 0; y < ny; ++y) std::copy_n(own + y * nx, width, scratch.before.data() + y * width);
+                for (std::size_t y = 0; y < ny; ++y)
+                    across(scratch.before.data(), y, ny, width, weights[1], width, own + y * nx);
+            });
+        }
+        if (!weights[2].empty()) {
+            team.each(nz * ny, [&](std::size_t row) { along(to + row * nx, weights[2], nx, scratch.padded.data()); });
+        }
     });
 }
 

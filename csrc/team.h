@@ -4,7 +4,6 @@
 #include <condition_variable>
 #include <cstddef>
 #include <mutex>
-#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -38,7 +37,7 @@ public:
                         { std::lock_guard<std::mutex> all_are_there(mutex_); }
                         work(i);
                     });
-            } catch (const std::system_error&) {
+            } catch (...) {  // no more threads, or no memory for one
                 size_ = static_cast<int>(others.size()) + 1;
             }
         }

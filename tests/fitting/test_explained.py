@@ -106,4 +106,6 @@ def test_products_refuse_what_does_not_fit():
     some = np.ones(5)
     for columns, words in (([], "1 to 64"), ([np.ones(4)], "shape"), ([some] * 65, "1 to 64")):
         with pytest.raises(ValueError, match=words):
-            loops.products_f64(columns, some, 1)
+            loops.products_f64(columns, some, [0.0] * len(columns), 1)
+    with pytest.raises(ValueError, match="one number per column"):
+        loops.products_f64([some], some, [0.0, 0.0], 1)

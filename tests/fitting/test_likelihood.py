@@ -35,6 +35,27 @@ def test_solve_scale_is_the_weighted_least_squares(rng):
     assert_allclose(solve_scale(rendered, measured, weights)[:2], expected, rtol=1e-10)
 
 
+@pytest.mark.parametrize("offset", [1e3, 1e6, 1e8])
+def test_an_offset_costs_no_digits(rng, offset):
+    rendered, _, weights = tensors(rng)
+    amplitude, background, bounded = solve_scale(rendered, 3 * rendered + offset, weights)
+    assert_allclose([amplitude, background], [3, offset], rtol=1e-16 * offset + 1e-12)
+    assert not bounded
+    amplitude, _, bounded = solve_scale(rendered + offset, 3 * rendered, weights)
+    assert_allclose(amplitude, 3, rtol=1e-15 * offset + 1e-12)
+    assert not bounded
+
+
+def test_a_voxel_that_outweighs_all_others_costs_no_digits(rng):
+    rendered, _, weights = tensors(rng)
+    measured = 2 * rendered + 1 + 0.1 * torch.sin(99 * rendered)
+    weights[5] = 1e15
+    # It fixes the line at its place; the others tell the slope.
+    x, y, w = rendered - rendered[5], measured - measured[5], weights.clone()
+    slope = float((w * x * y).sum() / (w * x * x).sum())
+    assert_allclose(solve_scale(rendered, measured, weights)[0], slope, rtol=1e-9)
+
+
 def test_amplitude_stays_positive_where_the_images_disagree(rng):
     rendered, _, weights = tensors(rng)
     amplitude, _, bounded = solve_scale(rendered, 10 - 3 * rendered, weights)

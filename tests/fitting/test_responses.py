@@ -1,5 +1,7 @@
 """What large surfaces give way to, by refits, against the exact second derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -71,6 +73,24 @@ def test_a_surface_that_has_settled_stays(both, ended):
     moved = over_patches(ended, refits.settled())
     noise = over_patches(ended, noise_of(exact, 1)[0])
     assert np.sqrt((moved**2).mean()) < 0.7 * np.sqrt((noise**2).mean())
+
+
+def test_a_wild_vertex_moves_no_further_than_a_step_of_a_fit(both, ended, monkeypatch):
+    """As one of a sliver does, where the objective is a parabola only nearby."""
+    posed, exact, _ = both
+    own, width = exact._curvature.newton_step, posed.posterior.level.width
+    before = exact.settled()
+
+    def wild(gradient):
+        step = own(gradient)
+        vertices = step.vertices.copy()
+        vertices[7] = 13.0
+        return replace(step, vertices=vertices)
+
+    monkeypatch.setattr(exact._curvature, "newton_step", wild)
+    after = exact.settled()
+    assert np.linalg.norm(after[7]) == pytest.approx(0.6 * width)
+    np.testing.assert_array_equal(np.delete(after, 7, 0), np.delete(before, 7, 0))
 
 
 def test_an_alternative_gains_as_much_and_moves_as_far(ended, monkeypatch):

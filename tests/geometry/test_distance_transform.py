@@ -43,6 +43,17 @@ def test_they_are_those_of_scipy(loops, shape, kind):
     np.testing.assert_allclose(length, told, rtol=1e-12)
 
 
+def test_near_ties_along_long_axes():
+    """Two voxels that are nearly as far: which is nearer shows in the last digits."""
+    long, size = 100_000, 0.3
+    for more in (-1e-9, 1e-9):
+        other = size * np.sqrt(20 * (1 + more))
+        mask = np.ones((2, long), bool)
+        mask[0, long - 20] = mask[1, long - 10] = False
+        told = ndimage.distance_transform_edt(mask, (other, size))
+        np.testing.assert_allclose(distance_transform(mask, (other, size)), told, rtol=1e-12)
+
+
 def test_voxels_are_cubes_of_one_unless_told(loops):
     mask = _mask((9, 20, 30), "blobs")
     told = ndimage.distance_transform_edt(mask)

@@ -17,14 +17,24 @@ def loops(request, monkeypatch):
         pytest.skip("the compiled extension is missing")
 
 
-@pytest.mark.parametrize("shape", [(5, 70, 131), (1, 3, 64), (129, 2, 7)])
-@pytest.mark.parametrize("widths", [(0.3, 1.5, 4.0), (6.0, 0.7, 0.7), (1.2, 0.0, 0.0)])
+@pytest.mark.parametrize("shape", [(5, 70, 131), (1, 3, 64), (129, 2, 7), (2, 9, 700)])
+@pytest.mark.parametrize(
+    "widths", [(0.3, 1.5, 4.0), (6.0, 0.7, 0.7), (1.2, 0.0, 0.0), (300.0, 90.0, 500.0)]
+)
 def test_it_is_that_of_scipy(loops, shape, widths):
     values = np.random.default_rng(0).normal(size=shape)
     found = blurred(values, widths, 3.0)
     told = gaussian_filter(values, widths, mode="constant", truncate=3.0)
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, told, atol=1e-6)
+
+
+def test_light_that_lies_beyond_the_border_costs_no_time():
+    """A Gaussian wider than the stack has no more terms than the stack has voxels."""
+    image = np.ones((3, 4, 5), np.float32)
+    assert [len(w) for w in gaussian_blur.weights_within(image.shape, (1e4, 1.0, 0.0), 3.0)] == [
+        *(3, 4, 0)
+    ]
 
 
 def test_a_stack_of_another_layout_is_blurred_alike():

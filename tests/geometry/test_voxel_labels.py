@@ -57,5 +57,8 @@ def test_labels_by_rank(largest):
     names, ranks = ranked(labels)
     assert names.tolist() == [0, 3, 7, largest]
     assert ranks.tolist() == [[[0, 2, 2], [0, 1, 3]]]
+    large = np.zeros((1, 2, 2), np.uint64)
+    large[0, 0, 0] = 2**53 + 1
+    assert ranked(large)[0].tolist() == [0, 2**53 + 1]
     assert ranked(np.full((1, 1, 2), 5))[0].tolist() == [0, 5]
     assert ranked(np.zeros((0, 1, 2), int))[0].tolist() == [0]

@@ -100,10 +100,10 @@ class VerdictRules:
         coarsest that is ever chosen for a user; with 0.1, nuclei ended 0.6 and 1.0 voxel off where
         0.1 was predicted.
     astray
-        Share of poor cells from which on the whole is no better than fair. Chosen: where one cell
-        in ten is wrong, the first word that a user reads is not "good". Measured: none of 26 good
-        fits of several cells (benchmarks.defaults) had a poor cell; in one of five cells that was
-        called good, one had grown to 20 times its volume.
+        Share of poor cells above which the whole is no better than fair. Chosen: where more than
+        one cell in ten is wrong, the first word that a user reads is not "good". Measured: none of
+        26 good fits of several cells (benchmarks.defaults) had a poor cell; in one of five cells
+        that was called good, one had grown to 20 times its volume.
     error_good, error_fair
         Largest predicted error of the shape, in voxels (the geometric mean of their sides).
         Chosen: what a reader takes for right, and for a voxel off; not measured.

@@ -15,7 +15,9 @@ from .native import native, threads
 Told = tuple[float, float, float, float, bool]
 
 
-def products(columns: Sequence[Tensor], weights: Tensor) -> NDArray[np.float64]:
+def products(
+    columns: Sequence[Tensor], weights: Tensor, less: Sequence[float] | None = None
+) -> NDArray[np.float64]:
     """Return (K, K) weighted inner products of all pairs of columns, in double precision.
 
     The result has the same bits for every number of threads.
@@ -26,13 +28,17 @@ def products(columns: Sequence[Tensor], weights: Tensor) -> NDArray[np.float64]:
         1 to 64 columns (N,), on the CPU.
     weights
         (N,).
+    less
+        A number that is first subtracted from each column; by default 0.
     """
     given = (*columns, weights)
     single = all(t.dtype == torch.float32 for t in given)
     real = torch.float32 if single else torch.float64
     *own, w = (t.detach().to(real).contiguous().numpy() for t in given)
     name = "products_f32" if single else "products_f64"
-    found: NDArray[np.float64] = getattr(native(), name)(own, w, threads())
+    found: NDArray[np.float64] = getattr(native(), name)(
+        own, w, list(less or [0.0] * len(own)), threads()
+    )
     return found
 
 

@@ -17,7 +17,9 @@ from .compiled import native
 VoxelSize = float | Sequence[float] | NDArray[np.floating]
 
 
-def distance_transform(mask: NDArray[np.bool_], voxel_size: VoxelSize = 1.0) -> NDArray[np.float64]:
+def distance_transform(
+    mask: NDArray[np.bool_], voxel_size: VoxelSize = 1.0, threads: int | None = None
+) -> NDArray[np.float64]:
     """Distance of each voxel of a mask to the nearest voxel outside it; 0 outside.
 
     Parameters
@@ -27,8 +29,10 @@ def distance_transform(mask: NDArray[np.bool_], voxel_size: VoxelSize = 1.0) -> 
         image.
     voxel_size
         Along each axis, or along all of them.
+    threads
+        By default as many as torch has.
     """
-    return _distances(mask, voxel_size, None)
+    return _distances(mask, voxel_size, None, threads)
 
 
 def nearest_outside(
@@ -39,11 +43,14 @@ def nearest_outside(
     If nothing lies outside, that index is 0.
     """
     nearest = np.zeros(mask.shape, np.int64)
-    return _distances(mask, voxel_size, nearest), nearest
+    return _distances(mask, voxel_size, nearest, None), nearest
 
 
 def _distances(
-    mask: NDArray[np.bool_], voxel_size: VoxelSize, nearest: NDArray[np.int64] | None
+    mask: NDArray[np.bool_],
+    voxel_size: VoxelSize,
+    nearest: NDArray[np.int64] | None,
+    threads: int | None,
 ) -> NDArray[np.float64]:
     """Distances; and, where they are asked for, the nearest voxels outside, in their array."""
     size = np.broadcast_to(np.asarray(voxel_size, float), mask.ndim)
@@ -61,7 +68,7 @@ def _distances(
         (1.0,) * more + tuple(size.tolist()),
         distances.reshape(shape),
         None if nearest is None else nearest.reshape(shape),
-        torch.get_num_threads(),
+        threads or torch.get_num_threads(),
     )
     return distances
 

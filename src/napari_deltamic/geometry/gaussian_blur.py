@@ -39,13 +39,19 @@ def blurred(
         )
         return alone
     found = np.empty_like(image)
-    weights = tuple(_weights(width, cut_off) if width > 0 else [] for width in widths)
-    loops.blur(image, weights, found, torch.get_num_threads())
+    loops.blur(image, weights_within(image.shape, widths, cut_off), found, torch.get_num_threads())
     return found
 
 
+def weights_within(
+    shape: Sequence[int], widths: Sequence[float], cut_off: float
+) -> tuple[list[float], ...]:
+    """Of each axis, what voxels 0, 1, ... away are multiplied by, as far as the image reaches."""
+    pairs = zip(widths, shape, strict=True)
+    return tuple(_weights(width, cut_off)[:count] if width > 0 else [] for width, count in pairs)
+
+
 def _weights(width: float, cut_off: float) -> list[float]:
-    """Return what voxels 0, 1, ... away on either side are multiplied by."""
     apart = np.arange(int(cut_off * width + 0.5) + 1)
     weights = np.exp(-((apart / width) ** 2) / 2)
     found: list[float] = (weights / (2 * weights.sum() - 1)).tolist()

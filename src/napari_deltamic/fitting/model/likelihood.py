@@ -20,7 +20,7 @@ from ...geometry.mesh import FloatArray
 from ...scene.effects import DetectorEffect
 
 _BLOCK = 4096  # values that are added up in one go, so that each sum stays in the cache
-_EVEN = 1e-12  # of squares, by definition: what columns vary by less is the rounding of their sums
+_EVEN = 1e-14  # of squares, by definition: what columns vary by less is the rounding of their sums
 
 
 @dataclass(frozen=True)
@@ -198,13 +198,16 @@ def _totals(rows: Tensor) -> Tensor:
 def _moments(columns: Sequence[Tensor], weights: Tensor, tiny: float) -> tuple[Tensor, Tensor]:
     """(K, K) weighted products of columns less their weighted means, and those (K,)."""
     if len(weights) and compiled(weights.device):
-        # In double precision, a mean of a thousand deviations costs six of sixteen digits.
-        found = compiled_products([*columns, torch.ones_like(weights)], weights)
+        # Less what the voxel that weighs most holds, or a large mean would cost digits.
+        heaviest = int(weights.numpy().argmax())
+        level = [float(column[heaviest]) for column in columns]
+        given = [*columns, torch.ones_like(weights)]
+        found = compiled_products(given, weights, [*level, 0.0])
         sums, held = found[-1, :-1], max(found[-1, -1], tiny)
-        moments = found[:-1, :-1] - np.outer(sums, sums) / held
+        moments = found[:-1, :-1] - np.outer(sums / held, sums)
         even = np.diag(moments) < _EVEN * np.diag(found)[:-1]
         moments[even] = moments[:, even] = 0.0
-        return torch.from_numpy(moments), torch.from_numpy(sums / held)
+        return torch.from_numpy(moments), torch.from_numpy(np.array(level) + sums / held)
     wide = widest(weights.device)
     w, rows = weights.to(wide), torch.stack([column.to(wide) for column in columns])
     means = _totals(w * rows) / total(w).clamp(min=tiny)

@@ -158,8 +158,8 @@ def _compete(labels: IntArray, size: FloatArray, edge: float, raised: bool, thin
     def field(number: int) -> tuple[tuple[slice, ...], FloatArray]:
         start = np.array([s.start for s in boxes[number]]) - around
         mask = _cut(numbers, start, [s.stop for s in boxes[number]] + around) == number
-        away = distance_transform(mask, size)
-        away -= distance_transform(~mask, size)
+        away = distance_transform(mask, size, threads=1)
+        away -= distance_transform(~mask, size, threads=1)
         away = ndimage.gaussian_filter(away, sigma / size, mode="nearest")
         if raised and number:
             n = int(np.count_nonzero(mask))

@@ -167,7 +167,7 @@ def ranked(labels: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np
     """
     labels = labels.clip(0)
     if labels.max(initial=0) > labels.size:
-        names, ranks = np.unique(np.append(0, labels), return_inverse=True)
+        names, ranks = np.unique(np.append(labels.dtype.type(0), labels), return_inverse=True)
         return names, ranks[1:].reshape(labels.shape).astype(np.int32)
     there = np.bincount(labels.ravel(), minlength=1) > 0
     there[0] = True
