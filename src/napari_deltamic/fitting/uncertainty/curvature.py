@@ -28,10 +28,11 @@ from ..solvers.factors import on_host
 from .directions import Directions
 from .normal_jacobian import Colouring, normal_jacobian, widest_psf
 
-# What is affordable: 154 colours of a 64^3 image took 2 s, most of it in transforms, or 50 ns for
-# each voxel and colour: this is about a minute on one core.
-_MOST_WORK = 1e9  # colours times voxels of the grid
-_MOST_VERTICES = 20_000  # chosen: some forty cells; not measured
+# What is affordable: 200 colours of 29 x 150 x 150 voxels with 4,000 vertices took 4 s beside a fit
+# of 23 s (two threads), 250 of 33 x 256 x 384 with 12,000 vertices 26 s and 4.7 GB beside one of
+# 33 s. Refits, which are there beyond, took 5 s for the latter.
+_MOST_WORK = 3e8  # colours times voxels of the grid; chosen so that errors take less than a fit
+_MOST_VERTICES = 8_000  # chosen so that errors take less time than a fit
 _DENSE = 4_000  # vertices: up to here LAPACK is faster than a sparse factor (a row has hundreds)
 _RANK = 1e-9  # of further columns: less is rounding, that is the same column again
 _RIDGE = 1e-9  # of the mean diagonal: so that vertices that nothing sees or holds stay
