@@ -22,6 +22,17 @@ def test_doubts_are_said_and_reported(data, tmp_path, run):
     assert any("step along Z too large" in text for text in report["warnings"])
 
 
+@pytest.mark.usefixtures("judged")
+def test_no_fit_with_a_doubtful_voxel_size_is_good(data, tmp_path, run):
+    """Shapes of another scale explain the image as well."""
+    given = "fit", data / "cell.tif", "--seeds", data / "labels.tif"
+    for size, grade in (("0.3", "good"), ("1.2", "fair")):
+        run(*given, "--voxel-size", size, "0.2", "0.2", "-o", tmp_path / size)
+        verdict = json.loads((tmp_path / size / "report.json").read_text())["verdict"]
+        assert verdict["grade"] == grade
+        assert ("step along Z too large" in "; ".join(verdict["reasons"])) == (grade == "fair")
+
+
 def test_padding_is_told_and_left_out(data, tmp_path, run):
     image, _ = read_image(data / "cell.tif")
     padded = image.astype(np.float32) + 100

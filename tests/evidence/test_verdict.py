@@ -61,6 +61,7 @@ def test_a_fit_without_fault_is_good():
         ({"followed": 0.3}, "poor", "the seeds did not match the image, and the surfaces hardly"),
         ({"followed": 0.5}, "good", "good"),
         ({"oblong": (0.25, 0.5)}, "fair", "0.25 um along Y but 0.5 um along X"),
+        ({"doubts": ("is the step along Z too large?",)}, "fair", "is the step along Z too large?"),
         ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
         ({"alone": True}, "fair", "insides alone may explain as much"),
         ({"nuclei": True}, "fair", "a dim middle was taken for a dark nucleus"),

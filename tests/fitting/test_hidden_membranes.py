@@ -443,7 +443,7 @@ def test_membranes_may_shine_as_well_only_where_none_do(monkeypatch, structure, 
     monkeypatch.setattr(ModelChoice, "_asked_again", lambda *_: True)
     monkeypatch.setattr(ModelChoice, "_with_both_again", staticmethod(lambda *_: (fitted, 3, True)))
     choice = ModelChoice(FitSettings(structure="both"), 1)
-    found = choice.asked_anew(None, None, fitted, None, Progress())
+    found = choice.asked_anew(None, None, fitted, None, Progress(), False)
     assert found == (fitted, 3, Progress(asked_again=True, unsure=unsure))
 
 

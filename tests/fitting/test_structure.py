@@ -356,3 +356,18 @@ def test_small_cells_that_began_too_small_are_what_they_are(light, name):
     assert structure_of(last.light) == name
     for region, volume in truth.volumes().items():
         assert last.mesh.region_volume(region) == pytest.approx(volume, rel=0.05)
+
+
+@pytest.mark.parametrize("guessed", [True, False])
+def test_small_nuclei_are_no_membranes_through_a_wider_psf(guessed):
+    """From seeds at 0.75 of its radius a nucleus looks like a membrane through a wider PSF."""
+    grid, radius = nd.Grid((14, 26, 26), (0.4, 0.2, 0.2)), 1.0
+    middle = np.array([2.6, 2.5, 2.5])
+    truth, start = (sphere(middle, r, edge_length=0.25) for r in (radius, 0.75 * radius))
+    narrow, guess = nd.GaussianPSF((0.31, 0.18, 0.18)), nd.GaussianPSF((0.41, 0.26, 0.26))
+    shown = nd.scene.expected_image(truth, grid, narrow, 1e-3, 1.0, 0.0, light=INSIDES)
+    image = np.random.default_rng(4).poisson(200 * shown / shown.max() + 2.0).astype(np.float32)
+    *_, last = nd.fit(image, grid, start, guess, settings=FitSettings(), psf_guessed=guessed)
+    assert structure_of(last.light) == ("interior" if guessed else "membrane")
+    assert last.unsure == guessed
+    assert (abs(last.mesh.region_volume(1) / truth.region_volume(1) - 1) < 0.1) == guessed

@@ -212,7 +212,7 @@ def test_the_residual_is_in_standard_deviations_and_cells_are_judged(seeded, wit
 def test_every_fit_is_graded_without_being_asked(seeded, with_image, pixels, spin):
     seeded.start()
     spin(lambda: not seeded.doc.run.running, seconds=60)
-    spin(lambda: seeded.running.grade.text() != "", seconds=60)
+    spin(lambda: seeded.running.grade.verdict != "", seconds=60)
     share = seeded.results.table.numbers("explained")[1]
     assert share > 0.75
     assert seeded.running.grade.text().startswith("Good: the cells explain")
@@ -230,7 +230,7 @@ def test_a_wrong_shape_is_not_called_good(seeded, spin):
     seeded.seeds.radius.setValue(0.7)
     seeded.start()
     spin(lambda: not seeded.doc.run.running, seconds=60)
-    spin(lambda: seeded.running.grade.text() != "", seconds=60)
+    spin(lambda: seeded.running.grade.verdict != "", seconds=60)
     assert not seeded.running.grade.text().startswith("Good")
     assert "before you use them" in seeded.running.grade.text()
     # What may help is a button.
@@ -239,7 +239,7 @@ def test_a_wrong_shape_is_not_called_good(seeded, spin):
     fit = seeded.doc.run_settings().fit
     assert (fit.fit_psf, fit.density) == (True, "smooth")
     spin(lambda: seeded.doc.result.job.settings.fit.fit_psf, seconds=60)
-    spin(lambda: seeded.running.grade.text() != "", seconds=60)
+    spin(lambda: seeded.running.grade.verdict != "", seconds=60)
     assert seeded.running.again.isHidden()
 
 

@@ -93,7 +93,7 @@ def test_undo_brings_back_the_fit_with_its_verdict(seeded, spin):
     seeded.start()
     spin(lambda: not seeded.doc.run.running)
     check, record = seeded.running, seeded.doc.result
-    spin(lambda: check.grade.text() != "")
+    spin(lambda: check.grade.verdict != "")
     graded, fitted = (check.grade.text(), check.grade.verdict), record.state
     assert graded[1] == "good"
     assert check.verdict.verdict == "converged"

@@ -402,7 +402,7 @@ def swatch(table):
 @pytest.mark.usefixtures("judged")
 def test_cells_are_coloured_by_a_column_and_described(ended, spin):
     results, link = ended.results, ended.doc.link
-    spin(lambda: ended.running.grade.text() != "", seconds=60)
+    spin(lambda: ended.doc.result.judged is not None, seconds=60)
     own = np.array(link.surface.data[2])
     at = results.colour.findData("volume_um3")
     assert at > 0
@@ -422,7 +422,7 @@ def test_cells_are_coloured_by_a_column_and_described(ended, spin):
 @pytest.mark.usefixtures("judged")
 def test_columns_are_chosen(ended, spin):
     table = ended.results.table
-    spin(lambda: ended.running.grade.text() != "", seconds=60)
+    spin(lambda: ended.doc.result.judged is not None, seconds=60)
     keys = [column.key for column in COLUMNS]
     assert table.isColumnHidden(keys.index("half_axis_1_um"))
     table.show_column("half_axis_1_um")
@@ -441,7 +441,7 @@ def test_columns_are_chosen(ended, spin):
 
 @pytest.mark.usefixtures("judged")
 def test_the_result_becomes_a_labels_layer_with_measurements(ended, viewer, spin):
-    spin(lambda: ended.running.grade.text() != "", seconds=60)
+    spin(lambda: ended.doc.result.judged is not None, seconds=60)
     ended.results.add_labels()
     layer = viewer.layers["cell: labels"]
     inside = ended.doc.link.frame.voxel_size

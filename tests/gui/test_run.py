@@ -19,7 +19,7 @@ from napari_deltamic.fitting import fit
 from napari_deltamic.fitting.rivals.light_cone import confocal_of, widefield_of
 from napari_deltamic.geometry.labels.bright_cells import CellsFound
 from napari_deltamic.gui import document
-from napari_deltamic.gui.running import footer, worker
+from napari_deltamic.gui.running import footer, run_control, worker
 from napari_deltamic.gui.seeding import find_cells_button
 from napari_deltamic.measure import measure_cells
 from napari_deltamic.results.session_file import load_session
@@ -58,6 +58,30 @@ def test_three_clicks_give_a_mesh(make_widget, with_image, spin):
     assert widget.results.table.rowCount() == 1
     assert widget.results.isEnabled()
     assert str(seeds.mode) == "pan_zoom"
+
+
+@pytest.mark.usefixtures("judged")
+@pytest.mark.parametrize("fails", [False, True])
+def test_it_says_that_shapes_are_judged(seeded, spin, monkeypatch, fails):
+    """A table without grades had been there for seconds, with nothing said."""
+    waits, judge, said = threading.Event(), run_control.judge, []
+
+    def slowly(*given):
+        assert waits.wait(60)
+        if fails:
+            raise InputError("no room")
+        return judge(*given)
+
+    monkeypatch.setattr(run_control, "judge", slowly)
+    seeded.doc.warned.connect(said.append)
+    seeded.start()
+    spin(lambda: seeded.doc.result is not None and not running(seeded))
+    grade = seeded.running.grade
+    assert (grade.text(), grade.verdict) == ("Judging the shapes ...", "")
+    waits.set()
+    spin(lambda: grade.text() != "Judging the shapes ...")
+    assert (grade.verdict == "") == (grade.text() == "") == fails
+    assert ("no room" in said) == fails
 
 
 def test_an_uneven_background_is_told_and_fitted(seeded, with_image):

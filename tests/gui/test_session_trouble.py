@@ -119,7 +119,7 @@ def test_a_session_that_is_dropped_opens_whole(window, seeded, spin, tmp_path, d
     assert shown(widget)["cells"] == shown(seeded)["cells"]
     assert shown(widget)["fit"] == shown(seeded)["fit"]
     for one in (widget, seeded):
-        spin(lambda one=one: one.running.grade.text() != "")
+        spin(lambda one=one: one.running.grade.verdict != "")
     assert widget.running.grade.text() == seeded.running.grade.text()
     assert widget.results.table.rows == seeded.results.table.rows
     assert len(widget.doc.timeline.moments) == before

@@ -283,7 +283,7 @@ def test_the_surface_of_a_fit_is_there_at_its_time_only(widget, viewer, spin):
 def test_a_result_tells_its_time_and_leads_back_to_it(widget, viewer, spin):
     viewer.dims.set_current_step(0, 1)
     widget.start()
-    spin(lambda: bool(widget.running.grade.text()), 60)
+    spin(lambda: bool(widget.running.grade.verdict), 60)
     check, results = widget.running, widget.results
     assert check.title() == "4  Check, time 1"
     assert results.title() == "5  Results, time 1"

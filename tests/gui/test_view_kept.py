@@ -50,6 +50,17 @@ def test_the_view_stays_when_the_voxel_size_is_typed(unscaled):
     np.testing.assert_allclose(after[1], before[1], atol=1e-4)
 
 
+def test_the_slice_stays_with_labels_on_the_image(unscaled):
+    """napari keeps the number of the step where the finest one changes, and clips it."""
+    widget, viewer, layer = unscaled
+    labels = viewer.add_labels(np.zeros(layer.data.shape, np.uint8), scale=layer.scale)
+    look(viewer, 6)
+    for size in ((1.2, 0.2, 0.2), (0.3, 0.2, 0.2)):
+        widget.doc.image.rescale(size)
+        assert tuple(labels.scale) == tuple(layer.scale) == size
+        assert viewer.dims.current_step[0] == 6
+
+
 def units(layer):
     return {str(unit) for unit in layer.units[-3:]}
 

@@ -165,6 +165,8 @@ class Facts:
         Whether only one slice holds an image (:func:`~.sanity.single_slice`).
     by_hand
         Whether the shapes were changed by hand after the fit.
+    doubts
+        What speaks against the voxel size or the axes (:func:`~.sanity.doubted_scale`).
     """
 
     finished: bool
@@ -190,6 +192,7 @@ class Facts:
     followed: float | None = None
     single: bool = False
     by_hand: bool = False
+    doubts: tuple[str, ...] = ()
 
     @cached_property
     def usual_growth(self) -> float:

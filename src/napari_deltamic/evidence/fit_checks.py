@@ -127,6 +127,11 @@ def _oblong(fit: Facts) -> Reason | None:
     return None if fit.oblong is None else Reason("oblong", "fair", oblong_told(fit.oblong))
 
 
+def _doubted(fit: Facts) -> Reason | None:
+    """A wrong voxel size is no misfit: shapes of another scale explain the image as well."""
+    return Reason("doubted", "fair", "; ".join(fit.doubts)) if fit.doubts else None
+
+
 def _coarse(fit: Facts) -> Reason | None:
     if not fit.accuracy > RULES.accuracy:
         return None
@@ -196,6 +201,7 @@ SHARED_CHECKS: tuple[FitCheck, ...] = (
     _sharpened,
     _followed,
     _oblong,
+    _doubted,
     _coarse,
     _unsure,
     _alone,

@@ -70,7 +70,8 @@ def put_together(
     mesh, kind, points = start(level, grid)
     whole = settings.model_copy(update={"scene": scene})
     job = assemble(whole, image, grid, mesh, kind, second)
-    job = replace(job, with_hot=as_read) if hot else job
+    given = settings.scene.sigma is not None or settings.scene.optics is not None
+    job = replace(job, with_hot=as_read if hot else None, psf_guessed=not given)
     return job if points is None else replace(job, crowded=_crowded(mesh, grid, points))
 
 

@@ -105,6 +105,7 @@ SINGLE = (
     "only one slice holds an image, which does not tell how high cells are: their heights, shapes "
     "and volumes are guesses; use a stack of several slices"
 )
+_OF_SCALE = "voxel size", "lean", "time"  # kinds of doubts
 _AROUND = 2.0  # radii of the seeds: the surroundings in which the image should follow them
 _VOXELS = 4_000_000  # of the middle of the image: more would take longer than a second
 _DETAIL = 2.0, 6.0  # voxels; chosen: finer is noise, coarser is light out of focus
@@ -178,16 +179,28 @@ def doubts(
 
 def tell_doubts(job: FitInput) -> tuple[Doubt, ...]:
     """The doubts about the inputs of a fit, each also raised as a DoubtWarning."""
-    found = doubts(
+    found = _doubts_of(job)
+    for doubt in found:
+        warnings.warn(doubt.sentence, DoubtWarning, stacklevel=2)
+    return found
+
+
+def doubted_scale(job: FitInput) -> tuple[str, ...]:
+    """What speaks against the voxel size or the axes, in sentences.
+
+    No fit can answer that: voxels of another size make other shapes, which fit as well.
+    """
+    return tuple(doubt.sentence for doubt in _doubts_of(job) if doubt.kind in _OF_SCALE)
+
+
+def _doubts_of(job: FitInput) -> tuple[Doubt, ...]:
+    return doubts(
         levelled(np.asarray(job.image), job.grid, job.settings.scene.effects),
         job.grid.voxel_size,
         job.mesh,
         job.grid.origin,
         close=job.kind != "rough",
     )
-    for doubt in found:
-        warnings.warn(doubt.sentence, DoubtWarning, stacklevel=2)
-    return found
 
 
 def _middle(shape: tuple[int, ...]) -> tuple[slice, ...]:
@@ -360,7 +373,7 @@ def _sides(voxel_size: tuple[float, float, float]) -> Doubt | None:
     plane = voxel_size[1:]
     if min(plane) >= low and max(plane) <= high and voxel_size[0] <= 10 * high:
         sides = oblong(voxel_size)
-        return None if sides is None else Doubt("voxel size", oblong_told(sides))
+        return None if sides is None else Doubt("oblong", oblong_told(sides))
     shown = " ".join(f"{v:g}" for v in voxel_size)
     return Doubt(
         "voxel size",

@@ -47,6 +47,7 @@ def fit(
     second: np.ndarray | None = None,
     resume: str | Path | None = None,
     counted_may_change: bool = False,
+    psf_guessed: bool = False,
 ) -> Generator[FitState, Change | None, None]:
     """Fit a mesh to an image; yields a state after every iteration and ends by itself.
 
@@ -85,6 +86,9 @@ def fit(
     counted_may_change
         Whether voxels that were left out may count where, at its end, much of a surface lies in
         them and they are as near as its own (:mod:`.ground_again`).
+    psf_guessed
+        Whether the PSF is a guess, so that its width does not speak against insides in place of the
+        membranes of small cells.
 
     Raises
     ------
@@ -116,6 +120,7 @@ def fit(
     problem.counted_with(effects)  # refuses what leaves too few
     if counted_may_change and problem.second is None:
         problem = replace(problem, anew=0)
+    problem = replace(problem, psf_guessed=psf_guessed)
     run = Run(problem, mesh, optics, settings, effects)
     if resume is not None:
         run = resumed(run, load_checkpoint(resume))

@@ -41,6 +41,7 @@ class FitInput:
     crowded : regions in which a user placed several points.
     with_hot : the image as it was read, if some of its voxels are missing here, as no PSF can have
         made them so bright.
+    psf_guessed : whether nobody has said how wide the PSF is.
     """
 
     settings: RunSettings
@@ -54,6 +55,7 @@ class FitInput:
     predicted: float | None = None
     crowded: frozenset[int] = frozenset()
     with_hot: NDArray[Any] | None = None
+    psf_guessed: bool = False
 
     @property
     def has_missing(self) -> bool:
@@ -180,4 +182,5 @@ def start(job: FitInput, resume: str | Path | None = None) -> Iterator[FitState]
         second=job.second,
         resume=resume,
         counted_may_change=True,
+        psf_guessed=job.psf_guessed,
     )

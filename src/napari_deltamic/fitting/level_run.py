@@ -20,9 +20,12 @@ from .position import Position, RunContext
 from .rivals.rival_structures import insides_may_do
 
 _UNDONE = "a coarse level was undone: a cell had drifted away from its start"
-_FURTHER_IN = "membranes shine as well: the fit goes on with surfaces further in"
 _NUCLEI = "insides shine around dark nuclei: the fit goes on with surfaces further out"
-_MEMBRANES = "membranes explain the image better than insides: the fit goes on with them"
+_TAKEN_UP = {
+    "both": "membranes shine as well: the fit goes on with surfaces further in",
+    "interior": "insides explain the image as well as membranes: the fit goes on with them",
+    "membrane": "membranes explain the image better than insides: the fit goes on with them",
+}
 
 
 class LevelRun:
@@ -261,9 +264,10 @@ class LevelRun:
 
     def _other_structure(self) -> bool:
         """Whether, at rest, something else shines than what had been clear on the way."""
-        at, progress = self.at, self.at.stage.progress
+        at, context, progress = self.at, self._context, self.at.stage.progress
+        guessed = context.problem.psf_guessed
         fitted, taken, after = at.choice.asked_anew(
-            self.terms, self.objective, at.fitted, self._context.factored, progress
+            self.terms, self.objective, at.fitted, context.factored, progress, guessed
         )
         self.at = at.holding(fitted).spent(taken).progressed(after)
         if fitted is at.fitted:
@@ -299,12 +303,12 @@ class LevelRun:
             self.at = at.spent(taken).progressed(replace(at.stage.progress, unsure=unsure))
 
     def _go_on_further_in(self) -> None:
-        """The surface was taken up again further in."""
-        alone = self.at.fitted.structure == "membrane"  # insides beside them are asked for yet
-        unsure = self.at.stage.progress.unsure
+        """The surface was taken up again further in, or further out for insides alone."""
+        structure, unsure = self.at.fitted.structure, self.at.stage.progress.unsure
+        alone = structure == "membrane"  # insides beside them are asked for yet
         self.at = self.at.progressed(Progress(asked_again=not alone, unsure=unsure))
         self._context.upkeep.restart()
-        self._context.reporter.say(_MEMBRANES if alone else _FURTHER_IN)
+        self._context.reporter.say(_TAKEN_UP[structure])
 
     def _other_mesh(self) -> None:
         """Go on with triangles that are none of those before."""

@@ -20,7 +20,12 @@ from .rivals.rival_structures import (
     with_even_membranes,
     without_rim,
 )
-from .rivals.small_cells import nearer_of, other_of_small
+from .rivals.small_cells import (
+    insides_as_well,
+    may_be_insides,
+    nearer_of,
+    other_of_small,
+)
 from .solvers.preconditioner import Preconditioners
 from .stage import Stage
 from .surface.collisions import CollisionGuard
@@ -92,11 +97,16 @@ class ModelChoice:
         fitted: Fitted,
         factored: Preconditioners,
         progress: Progress,
+        psf_guessed: bool,
     ) -> tuple[Fitted, int, Progress]:
         """What shines at rest, the evaluations that it took to ask, and where that leaves the fit.
 
         The same object where that is what had been clear on the way.
         """
+        if psf_guessed and self._small_membranes(terms, fitted, progress):
+            found, taken = insides_as_well(terms, objective)
+            after = replace(progress, asked_again=True, unsure=found is not None)
+            return (fitted if found is None else found), taken, after
         if self._asked_again(fitted, progress):
             one = self.levels == 1  # else blurred levels have told most
             further = HIDDEN.further if one else 0
@@ -146,6 +156,13 @@ class ModelChoice:
         elif found.faint:
             alone, more = insides_alone(terms, objective, factored)
         return (fitted if alone is None else alone), taken + more
+
+    def _small_membranes(self, terms: Terms, fitted: Fitted, progress: Progress) -> bool:
+        """Whether, at rest, to ask membranes of small cells whether insides may do as well."""
+        alone = self.settings.structure == "auto" and fitted.structure == "membrane"
+        if not alone or progress.asked_again or not fitted.mesh.is_closed():
+            return False
+        return may_be_insides(fitted, terms.level.grid.voxel_size)
 
     def _asked_again(self, fitted: Fitted, progress: Progress) -> bool:
         """Whether, at rest, to ask once more for what left a fit.

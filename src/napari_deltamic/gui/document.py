@@ -48,6 +48,7 @@ class Document:
     ended = Signal()  # a fit has ended
     result_changed = Signal()  # it is another one, or it was changed by hand
     judged = Signal()  # more is known of the result
+    grading = Signal(bool)  # whether it soon will be
     selection_changed = Signal()
     view_changed = Signal()
     looked_back = Signal()  # at an earlier moment of a fit, or at its end again

@@ -315,17 +315,11 @@ class ImageSource(LayerChoice):
     def _rescale(self, scale: ArrayLike) -> None:
         """Give the layer another scale along Z, Y, X; layers on its voxels stay on them."""
         layer, others = self.layer, [x for x in self._viewer.layers if self._goes_along(x)]
-        ratio = np.asarray(scale, float) / layer.scale[-3:]
         if um_per_unit(layer) is None:  # someone has now said how large its voxels are
             made = [x for x in self._viewer.layers if OWN in x.metadata]
             for one in (layer, *others, *made):
                 _in_um(one)
-        rescale(self._viewer, layer, (*layer.scale[:-3], *np.asarray(scale, float)))
-        for other in others:
-            first = layer.translate[-3:]
-            moved = first + (other.translate[-3:] - first) * ratio
-            other.translate = (*other.translate[:-3], *moved)
-            other.scale = (*other.scale[:-3], *(other.scale[-3:] * ratio))
+        rescale(self._viewer, layer, (*layer.scale[:-3], *np.asarray(scale, float)), others)
 
     def _goes_along(self, other: Any) -> bool:
         """Whether a layer of the user is on the image's voxels: clicked there, or lying like it."""

@@ -48,6 +48,8 @@ class Problem:
     local_background
         (Z, Y, X) what was subtracted from the image (:mod:`..voxels.local_background`); None:
         nothing.
+    psf_guessed
+        Whether nobody has said how wide the PSF is.
 
     Raises
     ------
@@ -65,6 +67,7 @@ class Problem:
     let_go: NDArray[np.uint8] | None = None
     frame: Grid | None = None
     local_background: NDArray[np.float32] | None = None
+    psf_guessed: bool = False
 
     def __post_init__(self) -> None:
         _check_enough(self.counted)

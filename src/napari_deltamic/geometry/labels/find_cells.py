@@ -103,8 +103,8 @@ def walled_cells(image: ArrayLike, voxel_size: Sequence[float], size: float) -> 
 def none_found(diameter: float) -> NoCellsFound:
     """Return the error for cells of which there are none; diameter : um."""
     return NoCellsFound(
-        f"no cells of about {diameter:g} um were found: try another size, or start from points or "
-        "labels"
+        f"no cells of about {diameter:.3g} um were found: try another size, check the voxel size, "
+        "or start from points or labels"
     )
 
 

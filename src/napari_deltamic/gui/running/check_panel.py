@@ -24,6 +24,7 @@ from .worker import Snapshot
 
 _SLICES = {"XY": (0, 1, 2), "XZ": (1, 0, 2), "YZ": (2, 0, 1)}
 _TITLE = "4  Check"
+_JUDGING = "Judging the shapes ..."
 _SCALE = (
     "Measured minus rendered; the colour bar is in standard deviations of the noise. Green is "
     "brighter than rendered, magenta darker."
@@ -64,7 +65,7 @@ class CheckPanel(QGroupBox):
         self.moving = button("Show where the surface still moves", tip, self.go_to_moving, self)
         self.stray = Note(self)
         self.stray_row = QWidget(self)
-        self._next_stray = 0
+        self._next_stray, self._grading = 0, False
         self.stray_go = button("Show", "Go to the next of them.", self._go_to_stray, self)
         tip = "Add a point for the next fit in each of them where a cell can start."
         self.stray_add = button("Add", tip, self._add_strays, self)
@@ -154,6 +155,7 @@ class CheckPanel(QGroupBox):
         doc.began.connect(self._began)
         doc.shown.connect(self._show_snapshot)
         doc.view_changed.connect(self._show_view)
+        doc.grading.connect(self._grade)
         for signal in (doc.image.changed, doc.result_changed, doc.judged, doc.ended):
             signal.connect(self._show)
         doc.image.replaced.connect(partial(self.note.say, ""))  # it is of the image before
@@ -260,13 +262,18 @@ class CheckPanel(QGroupBox):
         self.remarks.unfold(False)
         self.remarks.setVisible(bool(remarks))
 
+    def _grade(self, waits: bool) -> None:
+        self._grading = waits
+        self._show()
+
     def _show_grade(self, record: Record | None) -> None:
         """Show how well the shapes explain the image, and what can be done about it."""
         known = None if record is None else record.judged
         grade = "" if known is None else known.verdict.grade
         length = "" if record is None else record.link.frame.length
         stopped = record is not None and record.words[0] == "stopped"
-        text = "" if known is None else told(known, length, stopped=stopped)
+        waits = _JUDGING if self._grading and record is not None else ""
+        text = waits if known is None else told(known, length, stopped=stopped)
         if record is not None and record.by_hand:  # no fit has looked at these shapes
             text, grade = "Changed by hand: continue the fit.", ""
         if text and self._doc.moment is not None:

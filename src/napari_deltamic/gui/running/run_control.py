@@ -198,7 +198,7 @@ class Judging:
 
     def __init__(self, doc: Document) -> None:
         self._doc = doc
-        self.background = doc.background(doc.warned.emit)
+        self.background = doc.background(self._failed)
         self._spread = Spread()
         self._asked_of: FitState | None = None  # that is being judged
         doc.shown.connect(self._show_snapshot)
@@ -224,8 +224,13 @@ class Judging:
         under_way = self.background.busy and record is not None and record.state is self._asked_of
         if record is not None and not (self._doc.running or record.judged or under_way):
             self._asked_of = record.state
+            self._doc.grading.emit(True)
             work = partial(judge, *record.of_fit(), self._spread)
             self.background.ask(work, partial(self._add, record, record.state))
+
+    def _failed(self, text: str) -> None:
+        self._doc.warned.emit(text)
+        self._doc.grading.emit(False)
 
     def _image_changed(self) -> None:
         """Judge a result when its image is chosen, if another one was chosen when it ended."""

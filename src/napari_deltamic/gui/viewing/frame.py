@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -208,12 +209,16 @@ def voxel_size(layer: Any) -> Triple:
     return triple(np.abs(np.asarray(layer.scale, float)[-3:]) * (um_per_unit(layer) or (1.0,) * 3))
 
 
-def rescale(viewer: Any, layer: Any, scale: ArrayLike) -> None:
-    """Give a layer another scale, keeping the slice and the part that fills the canvas."""
+def rescale(viewer: Any, layer: Any, scale: ArrayLike, others: Iterable[Any] = ()) -> None:
+    """Give a layer another scale, keeping the slice and the part that fills the canvas.
+
+    others : layers on its voxels, which stay on them.
+    """
     old, new = np.array(layer.scale, float), np.array(scale, float)
+    others = list(others)
     dims, camera = viewer.dims, camera_of(viewer)
     if dims.ndim < layer.ndim or layer not in viewer.layers:
-        layer.scale = new
+        _scale_all(layer, new, others)
         return
     first = dims.ndim - layer.ndim  # axis of the viewer that is the layer's first
     ratio, fixed = np.ones(dims.ndim), np.zeros(dims.ndim)
@@ -223,11 +228,22 @@ def rescale(viewer: Any, layer: Any, scale: ArrayLike) -> None:
     center, zoom = np.array(camera.center, float), float(camera.zoom)
     at = slice(len(center) - len(shown), None)
     center[at] = fixed[shown] + (center[at] - fixed[shown]) * ratio[shown]
-    layer.scale = new
+    _scale_all(layer, new, others)
+    # After all of them: where the finest step changes, napari keeps the number of the step.
     dims.set_point(range(dims.ndim), point.tolist())
     camera.center = tuple(center.tolist())
     # Lengths may change differently along the axes: the middle of what each asks for.
     camera.zoom = zoom / float(np.exp(np.log(np.abs(ratio[shown])).mean()))
+
+
+def _scale_all(layer: Any, new: FloatArray, others: Sequence[Any]) -> None:
+    """Give a layer another scale along Z, Y, X, and with it the others on its voxels."""
+    ratio, first = (new / layer.scale)[-3:], layer.translate[-3:]
+    layer.scale = new
+    for other in others:
+        moved = first + (other.translate[-3:] - first) * ratio
+        other.translate = (*other.translate[:-3], *moved)
+        other.scale = (*other.scale[:-3], *(other.scale[-3:] * ratio))
 
 
 def made_by_fit(layer: Any) -> bool:
