@@ -128,15 +128,26 @@ def _followed(
 ) -> tuple[Fitted, float, int]:
     """A few steps on, with a halo if that leaves clearly less; what is left; evaluations."""
     before = tilted.fitted
-    plain, taken = stepped(tilted.anew())  # as far as one with a halo goes
+    plain, taken = _legs(tilted.anew())  # as far as one with a halo goes
     left = share_left(plain, image)
     if before.effects.role(Halo) is not None:
         return plain.fitted, left, taken
-    halo, more = stepped(_with_halo(problem, terms, before))
+    halo, more = _legs(_with_halo(problem, terms, before))
     with_it = share_left(halo, image)
     if with_it < RULES.haloed * left and _has_halo(halo.fitted):
         return halo.fitted, with_it, taken + more
     return plain.fitted, left, taken + more
+
+
+def _legs(objective: Objective) -> tuple[Objective, int]:
+    """Some steps on, and as many again; evaluations.
+
+    A halo may need them: in a simulated cell it held 0.80 of the light after the first ones, and
+    left 1.01 times as much as no halo; after further ones 0.36, and 0.94 times as much.
+    """
+    first, taken = stepped(objective)
+    there, more = stepped(first.anew())
+    return there, taken + more
 
 
 def _with_halo(problem: Problem, terms: Terms, tilted: Fitted) -> Objective:
