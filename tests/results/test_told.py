@@ -23,13 +23,18 @@ def judged(grades, reasons):
         (
             ["fair", "good"],
             {"explained": "90% is explained", "cells": "cell 1 is fair (uneven)"},
-            ". Cell 1 is fair: the table says why.",
+            ". Cell 1 is fair: choose one in the table to see why.",
         ),
         (
             ["fair"] * 8 + ["poor", "poor", "good"],
             {"cells": "some are poor", "cone": "cell 1 is explained: the PSF is not"},
             ". Cell 1 is explained: the PSF is not."
-            " 8 of 11 cells are fair, cells 9 and 10 are poor: the table says why.",
+            " 8 of 11 cells are fair, cells 9 and 10 are poor: choose one in the table to see why.",
+        ),
+        (
+            ["poor"] * 2,
+            {"cells": "both are"},
+            ". Both cells are poor: choose one in the table to see why.",
         ),
     ],
 )
@@ -48,7 +53,11 @@ def test_a_question_has_no_full_stop():
 def test_of_a_fit_that_was_stopped_that_is_told_first():
     reasons = {"unfinished": "the fit has not converged", "cells": "cell 2 is poor"}
     known = judged(["good", "poor"], reasons)
-    assert told(known).endswith(" The fit has not converged. Cell 2 is poor: the table says why.")
+    assert told(known).endswith(
+        " The fit has not converged. Cell 2 is poor: choose one in the table to see why."
+    )
     said = told(known, stopped=True)
     assert said.startswith("Stopped before it converged, so fair: the cells explain 90%")
-    assert said.endswith("around them. Continue it, or start from better cells.")
+    assert said.endswith("around them. Continue it.")
+    known.found.explained = 0.4
+    assert told(known, stopped=True).endswith("Continue it, or start from better cells.")

@@ -15,6 +15,7 @@ from ..evidence.fit_facts import verdict_of
 from ..evidence.residual import Residual, analyse_residual
 from ..evidence.unseeded_objects import Stray, strays
 from ..evidence.verdict import Verdict
+from ..evidence.verdict_rules import RULES as VERDICT
 from ..evidence.voxel_variance import Variance, voxel_variance
 from ..fitting import FitState, counted_voxels
 from ..fitting.job import FitInput
@@ -196,11 +197,12 @@ def told(known: Judged, length: str = "µm", *, stopped: bool = False) -> str:
         text += f"; they are off by about {much}"
     text += "."
     if stopped:  # the reasons would be those of an unfinished fit
-        return f"{text} Continue it, or start from better cells."
+        better = "" if explained > VERDICT.good else ", or start from better cells"
+        return f"{text} Continue it{better}."
     # How much is explained is said already, and the cells have reasons of their own.
     reasons = [r.text for r in verdict.reasons if r.kind not in ("explained", "cells")]
     if any(reason.kind == "cells" for reason in verdict.reasons):
-        reasons.append(f"{_of_cells(verdict)}: the table says why")
+        reasons.append(f"{_of_cells(verdict)}: choose one in the table to see why")
     text += "".join(f" {sentence(reason)}" for reason in reasons)
     if verdict.grade == "poor":
         text += " Look at the surfaces before you use them."
@@ -212,7 +214,10 @@ def _of_cells(verdict: Verdict) -> str:
     told_of = []
     for grade in ("fair", "poor"):
         regions = [cell.region for cell in verdict.cells if cell.grade == grade]
-        if len(regions) > _LISTED:
+        if len(regions) == len(verdict.cells) > 1:
+            which = "both" if len(regions) == 2 else f"all {len(regions)}"
+            told_of.append(f"{which} cells are {grade}")
+        elif len(regions) > _LISTED:
             told_of.append(f"{len(regions)} of {len(verdict.cells)} cells are {grade}")
         elif regions:
             several = len(regions) > 1
