@@ -72,7 +72,7 @@ def other_of_small(terms: Terms, fitted: Fitted) -> tuple[Fitted | None, int]:
 def may_be_insides(fitted: Fitted, voxel_size: Sequence[float]) -> bool:
     """Whether cells fitted with membranes are so small that insides could look alike.
 
-    Not through PSFs wider than microscopes sample: there the image does not tell. Of seven such
+    Not through PSFs wider than microscopes sample: there the image does not tell. Of nine such
     membranes, of 1.5 to 2.2 PSF widths in radius, insides left 0.95 to 1.0 times as much in three.
     """
     across = np.sqrt(np.prod(fitted.optics.sigma_um[1:]) / np.prod(voxel_size[1:]))
