@@ -51,7 +51,7 @@ def test_nanometres_for_micrometres():
 
 def test_voxels_in_the_order_x_y_z():
     (doubt,) = doubts(membrane(), (0.2, 0.2, 0.3))
-    assert doubt.kind == "oblong"
+    assert doubt.kind == "voxel size"
     assert "0.2 um along Y but 0.3 um along X" in doubt.sentence
     assert "in the order Z Y X?" in doubt.sentence
     assert kinds(membrane(), (0.3, 0.2, 0.204)) == []  # as after a rounded resampling

@@ -60,7 +60,6 @@ def test_a_fit_without_fault_is_good():
         ({"compressed": True}, "fair", "look log-scaled"),
         ({"followed": 0.3}, "poor", "the seeds did not match the image, and the surfaces hardly"),
         ({"followed": 0.5}, "good", "good"),
-        ({"oblong": (0.25, 0.5)}, "fair", "0.25 um along Y but 0.5 um along X"),
         ({"doubts": ("is the step along Z too large?",)}, "fair", "is the step along Z too large?"),
         ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
         ({"alone": True}, "fair", "insides alone may explain as much"),
@@ -253,7 +252,7 @@ def test_one_bad_cell_spoils_no_other_and_is_named(others, whole):
         ("flicker", {"slices": SlicesApart(brightness=0.12)}),
         ("dome", {"dome": 0.6}),
         ("sharpened", {"sharpened": True}),
-        ("oblong", {"oblong": (0.25, 0.5)}),
+        ("doubted", {"doubts": ("is the step along Z too large?",)}),
         ("coarse", {"accuracy": 0.1}),
     ],
 )
@@ -348,11 +347,12 @@ def test_facts_of_a_fit(monkeypatch):
     assert facts.slices.brightness < 0.02
     assert not facts.sharpened
     assert facts.dome == 0
-    assert (facts.oblong, facts.followed, facts.single) == (None, None, False)
+    assert (facts.doubts, facts.followed, facts.single) == ((), None, False)
     # The errors of other states, which take longest, are looked at further below.
     monkeypatch.setattr(fit_facts, "predicted_error", lambda *given: facts.error)
     wide = replace(job, grid=nd.Grid(shape, (0.2, 0.2, 0.4)))
-    assert facts_of(wide, state, analyse_residual(image, grid, state)).oblong == (0.2, 0.4)
+    (doubt,) = facts_of(wide, state, analyse_residual(image, grid, state)).doubts
+    assert "0.2 um along Y but 0.4 um along X" in doubt
     with monkeypatch.context() as as_if:  # no start followed it
         as_if.setattr(fit_facts, "SANITY", replace(fit_facts.SANITY, followed=1.0))
         followed = facts_of(job, state, analyse_residual(image, grid, state)).followed

@@ -156,8 +156,6 @@ class Facts:
         Whether insides shine alone through a widefield PSF, and nobody said what is labelled.
     accuracy
         Relative error that the rendered images might have.
-    oblong
-        Sides of a voxel along Y and X, um, where they differ (:func:`~.sanity.oblong`).
     followed
         Share of the image's variance around the surfaces that the distance to them explains, if the
         distance to the seeds explained hardly any (:func:`~.sanity.followed`); None if it did.
@@ -188,7 +186,6 @@ class Facts:
     leans: bool = False
     blurred_deep: bool = False
     accuracy: float = 0.0
-    oblong: tuple[float, float] | None = None
     followed: float | None = None
     single: bool = False
     by_hand: bool = False

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from .facts import Facts
 from .reason import Reason, fair_if, unexplained
-from .sanity import SINGLE, oblong_told
+from .sanity import SINGLE
 from .verdict_rules import RULES
 
 FitCheck = Callable[[Facts], Reason | None]
@@ -123,10 +123,6 @@ def _single(fit: Facts) -> Reason | None:
     return Reason("single", "poor", SINGLE) if fit.single else None
 
 
-def _oblong(fit: Facts) -> Reason | None:
-    return None if fit.oblong is None else Reason("oblong", "fair", oblong_told(fit.oblong))
-
-
 def _doubted(fit: Facts) -> Reason | None:
     """A wrong voxel size is no misfit: shapes of another scale explain the image as well."""
     return Reason("doubted", "fair", "; ".join(fit.doubts)) if fit.doubts else None
@@ -200,7 +196,6 @@ SHARED_CHECKS: tuple[FitCheck, ...] = (
     _dome,
     _sharpened,
     _followed,
-    _oblong,
     _doubted,
     _coarse,
     _unsure,

@@ -37,7 +37,7 @@ from .outgrowths import outgrowths
 from .predicted_error import PredictedError, predicted_error
 from .residual import Residual
 from .sanity import RULES as SANITY
-from .sanity import SINGLE, doubted_scale, followed, oblong, single_slice
+from .sanity import SINGLE, doubted_scale, followed, single_slice
 from .slices_apart import slices_apart
 from .uneven_insides import inside_shares, uneven_insides
 from .unseen_walls import unseen_walls
@@ -98,7 +98,6 @@ def facts_of(
         leans=untold and _leans(state),
         blurred_deep=untold and isinstance(state.optics, ScalarPSF) and not state.light.membrane,
         accuracy=job.settings.fit.image_accuracy,
-        oblong=oblong(size),
         followed=_followed(job, state, seen),
         single=single,
         by_hand=is_by_hand(state),

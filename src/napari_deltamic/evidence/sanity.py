@@ -329,7 +329,7 @@ def followed(pixels: np.ndarray, grid: Grid, seeds: Mesh) -> float:
     return between / total if total > 0 else 0.0
 
 
-def oblong(voxel_size: tuple[float, float, float]) -> tuple[float, float] | None:
+def _oblong(voxel_size: tuple[float, float, float]) -> tuple[float, float] | None:
     """The sides of a voxel along Y and X, um, where they differ; None where it is square."""
     y, x = voxel_size[1:]
     return (y, x) if max(y, x) > RULES.oblong * min(y, x) else None
@@ -350,7 +350,7 @@ def single_slice(image: NDArray[Any]) -> bool:
 # What is said ----------------------------------------------------------------------------------
 
 
-def oblong_told(sides: tuple[float, float]) -> str:
+def _oblong_told(sides: tuple[float, float]) -> str:
     """The sentence for users on voxels that are not square in the plane; sides along Y, X in um."""
     return (
         f"voxels are {sides[0]:g} um along Y but {sides[1]:g} um along X, which is unusual for a "
@@ -372,8 +372,8 @@ def _sides(voxel_size: tuple[float, float, float]) -> Doubt | None:
     low, high = RULES.voxel_sides
     plane = voxel_size[1:]
     if min(plane) >= low and max(plane) <= high and voxel_size[0] <= 10 * high:
-        sides = oblong(voxel_size)
-        return None if sides is None else Doubt("oblong", oblong_told(sides))
+        sides = _oblong(voxel_size)
+        return None if sides is None else Doubt("voxel size", _oblong_told(sides))
     shown = " ".join(f"{v:g}" for v in voxel_size)
     return Doubt(
         "voxel size",

@@ -19,7 +19,7 @@ from .posterior import Evaluation, Posterior
 # all, unbounded numbers of the PSF, and those of effects in units of their scale. Further away the
 # objective is no parabola; in many
 # effects it is. (The prototypes' caps; those of effects are wider than any of them needs.)
-_FAR, _FAR_DENSITY, _FAR_INSIDES, _FAR_OPTICS, _FAR_EFFECTS = 0.6, 0.5, 0.5, 0.3, 10.0
+FAR, _FAR_DENSITY, _FAR_INSIDES, _FAR_OPTICS, _FAR_EFFECTS = 0.6, 0.5, 0.5, 0.3, 10.0
 # Of the step before, how much shorter the next one is: as J. E. Dennis and R. B. Schnabel bound it
 # (Numerical methods for unconstrained optimization, 1983) for backtracking by parabolas.
 _LEAST_CUT, _MOST_KEPT = 0.1, 0.5
@@ -177,7 +177,7 @@ class Descent:
         # Where an amplitude jumps, a step may be so long that its square is no number.
         longest = float(np.abs(step.vertices).max(initial=0.0)) / (_LONGEST * self._width)
         vertices = step.vertices / max(longest, 1.0)
-        far = lengths(vertices)[:, None] / (_FAR * self._width)
+        far = lengths(vertices)[:, None] / (FAR * self._width)
         optics = np.abs(step.optics).max(initial=0.0) / _FAR_OPTICS
         rest = max(optics, np.abs(step.effects).max(initial=0.0) / _FAR_EFFECTS)
         return Variables(

@@ -12,15 +12,10 @@ from ...geometry.vectors import lengths
 from ...runs.settings import FitSettings
 from ..model.shape import Shape
 from ..model.state import FitState
+from ..objective.descent import FAR
 from ..objective.posed import Posed
 from .curvature import Curvature
 from .refits import Alternative, Refits
-
-# Widths of the PSF: as far as one step of a fit goes (objective/descent.py), beyond which the
-# objective is no parabola. In a cluster of 16 cells one vertex of a sliver would have moved by 13
-# voxels with what its neighbours followed, and the surface, still to settle by 11 nm as measured,
-# by 26 nm; with this bound, by 10 nm.
-_FAR = 0.6
 
 
 class Exact:
@@ -39,7 +34,7 @@ class Exact:
 
     def __init__(self, posed: Posed, curvature: Curvature) -> None:
         self._posed, self._curvature = posed, curvature
-        self._far = _FAR * posed.posterior.level.width
+        self._far = FAR * posed.posterior.level.width
         self.residual = curvature.residual
 
     def after(self, change: FloatArray) -> FloatArray:
@@ -73,7 +68,12 @@ class Exact:
         return gain, self._curvature.directions.displaced(along)
 
     def _bounded(self, moved: FloatArray) -> FloatArray:
-        """Displacements of which none is longer than may be believed."""
+        """Displacements of which none is longer than a step of a fit may be.
+
+        Further away the objective is no parabola. In a cluster of 16 cells one vertex of a sliver
+        would have moved by 13 voxels, and the surface, with 11 nm left to settle as further steps
+        told, by 26 nm; bounded, by 10 nm.
+        """
         found: FloatArray = moved / np.maximum(lengths(moved)[:, None] / self._far, 1.0)
         return found
 

@@ -276,7 +276,7 @@ class CheckPanel(QGroupBox):
         text = waits if known is None else told(known, length, stopped=stopped)
         if record is not None and record.by_hand:  # no fit has looked at these shapes
             text, grade = "Changed by hand: continue the fit.", ""
-        if text and self._doc.moment is not None:
+        if text != waits and self._doc.moment is not None:
             text = f"Of the end: {text}"
         self.grade.say(text, grade)
         self.worst.setVisible(known is not None and bool(known.found.spots))
