@@ -331,7 +331,7 @@ def test_while_an_earlier_moment_is_shown_grade_and_results_say_that_they_are_of
     ended, spin
 ):
     running, results = ended.running, ended.results
-    spin(lambda: not running.grade.isHidden())
+    spin(lambda: running.grade.verdict != "")
     grade = running.grade.text()
     assert results.valid_for.isHidden()
     running.history.slider.setValue(0)
