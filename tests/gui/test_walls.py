@@ -137,3 +137,30 @@ def test_what_is_chosen_is_drawn_before_what_one_looks_through(shown, pair):
     np.testing.assert_array_equal(found.regions, pair.regions[order])
     shown.highlight(frozenset())
     np.testing.assert_array_equal(mesh_of_surface(shown.surface, shown.frame).faces, pair.faces)
+
+
+def test_in_3d_the_nearest_faces_of_cells_that_are_not_chosen_are_drawn_first(viewer, shown, spin):
+    viewer.dims.ndisplay = 3
+    shown.highlight(frozenset({2}))
+    camera, layer = getattr(viewer, "scene", viewer).camera, shown.surface
+
+    def in_order(axes=(0, 1, 2)):
+        vertices, faces = layer.data[:2]
+        chosen = (layer.metadata["deltamic"]["regions"] == 2).any(axis=1)
+        assert 0 < chosen.sum() < len(chosen)
+        assert (np.diff(chosen.astype(int)) <= 0).all(), "what is chosen comes first"
+        depth = vertices[faces].mean(axis=1)[:, axes] @ np.array(camera.view_direction)
+        return (np.diff(depth[~chosen]) >= -1e-5).all()
+
+    assert in_order()
+    camera.angles = (20, -70, 110)
+    assert not in_order()
+    spin(in_order)
+    viewer.dims.order = (2, 0, 1)
+    assert not in_order((2, 0, 1))
+    spin(lambda: in_order((2, 0, 1)))
+    viewer.dims.ndisplay = 2
+    shown.highlight(frozenset({1}))
+    shown.highlight(frozenset({2}))
+    viewer.dims.ndisplay = 3
+    spin(lambda: in_order((2, 0, 1)))

@@ -15,7 +15,7 @@ from ...geometry import Mesh
 from ...results.colouring import COLOURS, PALETTE, colour_indices, label_indices, plain_index
 
 _DIM, _GREY = 0.75, 0.42  # a cell that is not chosen: so much of this grey in its colour
-_GHOSTLY = 0.2  # its opacity in 3D: one looks through it at what is chosen
+_GHOSTLY = 0.4  # its opacity in 3D: one looks through it at what is chosen
 _OPAQUE = np.ones((len(PALETTE), 1))
 PALETTE_RGBA = np.hstack([np.array(PALETTE) / 255, _OPAQUE])
 _DIMMED = np.hstack([(1 - _DIM) * PALETTE_RGBA[:, :3] + _DIM * _GREY, _OPAQUE])

@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
+from ..work import one_shot
 from .colours import LIMITS, ByValue, region_colormap, side_values, surface_look
 from .contours import Contours
 from .frame import MADE_BY_FIT, OWN, Frame, camera_of, go_to
 from .listening import Connections
 from .own_layers import Surface
 from .walls import COPIES, Apart
+
+_STILL = 60  # ms that a view has to rest before faces are sorted for it; chosen: two frames or more
 
 
 class MeshLayers:
@@ -65,6 +68,9 @@ class MeshLayers:
         for emitter in (dims.point, dims.order, dims.ndisplay):
             self.connections.connect(emitter, self.slice_changed)
         self.connections.connect(camera_of(viewer).events.zoom, self._zoomed)
+        self._sorting = one_shot(None, self._sort_faces, _STILL)
+        for emitter in (camera_of(viewer).events.angles, dims.order, dims.ndisplay):
+            self.connections.connect(emitter, self._turned)
         self.connections.connect(self.contours.layer.events.visible, self.slice_changed)
 
     @property
@@ -129,6 +135,7 @@ class MeshLayers:
     def close(self) -> None:
         """Undo every connection; the layers stay."""
         self.connections.undo()
+        self._sorting.stop()
 
     def remove(self, but: Collection[Any] = ()) -> None:
         """Close it, and remove its layers except some."""
@@ -239,7 +246,7 @@ class MeshLayers:
             else:
                 sides, contours = apart.sides, self.contours
                 self._values = side_values(sides, contours.chosen, contours.colours)
-            apart = self._apart = apart.first(self.contours.chosen)
+            apart = self._apart = apart.seen(self.contours.chosen, mesh, self._view_direction())
         return apart.vertices(mesh), apart.faces, self._values
 
     def _set_surface(self, layer: Surface, mesh: Mesh) -> None:
@@ -291,6 +298,28 @@ class MeshLayers:
     def _zoomed(self, event: Any = None) -> None:
         if self.contours.off_width(self.viewer):
             self.slice_changed()
+
+    def _turned(self, event: Any = None) -> None:
+        if self.contours.chosen and self._belongs():
+            self._sorting.start()
+
+    def _sort_faces(self) -> None:
+        """Draw the faces in the order that the view needs now."""
+        layer, apart, mesh = self.surface, self._apart, self.shown
+        if layer is None or not self.has(layer) or apart is None or mesh is None:
+            return
+        if not _same(apart.mesh, mesh):
+            return
+        self._apart = apart.seen(self.contours.chosen, mesh, self._view_direction())
+        self._set_surface(layer, mesh)
+
+    def _view_direction(self) -> NDArray[np.float64]:
+        """(3,) where the camera looks, along Z, Y, X."""
+        direction, dims = np.zeros(3), self.viewer.dims
+        if dims.ndisplay == 3:
+            shown = np.array(dims.displayed) - (dims.ndim - 3)
+            direction[shown] = camera_of(self.viewer).view_direction
+        return direction
 
     def _belongs(self) -> bool:
         """Whether the surface belongs to what is shown."""

@@ -57,12 +57,17 @@ class Apart:
         order = np.arange(len(faces))
         return cls(mesh, copies, mesh.faces if not len(copies) else faces, order, between)
 
-    def first(self, chosen: Collection[int]) -> Apart:
-        """The same with the faces of some regions drawn before others, which are translucent."""
+    def seen(self, chosen: Collection[int], mesh: Mesh, along: NDArray[np.float64]) -> Apart:
+        """The same with the faces in the order in which a view along a direction needs them.
+
+        Faces of the chosen regions come first; of the others, which are translucent, the nearest
+        come first: they hide what lies behind, so that no place is seen through two of them.
+        """
         if not chosen:
             return self
         own = np.isin(self.mesh.regions[self.order], list(chosen)).any(axis=1)
-        kept = np.argsort(~own, kind="stable")
+        depth = (mesh.vertices_numpy() @ along)[mesh.faces[self.order]].sum(axis=1)
+        kept = np.lexsort((depth, ~own))
         return replace(self, faces=self.faces[kept], order=self.order[kept])
 
     def vertices(self, mesh: Mesh) -> NDArray[np.float32]:
