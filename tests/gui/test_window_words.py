@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from qtpy.QtGui import QColor
-from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QAbstractSlider, QLabel, QVBoxLayout, QWidget
 
 from napari_deltamic.common.words import joined, sentence
 from napari_deltamic.errors import InputError
@@ -94,15 +94,17 @@ def test_colours_by_a_number_are_seen_on_a_dark_image():
         assert contrast(QColor.fromRgbF(red, green, blue), "black") > 3
 
 
-def test_a_part_that_was_just_shown_is_scrolled_to(app, spin):
+def test_a_part_that_was_just_shown_is_scrolled_to_with_what_follows_it(app, spin):
     inner = QWidget()
-    above, part = QLabel("above", inner), QLabel("part", inner)
+    above, part, below = (QLabel(text, inner) for text in ("above", "part", "below"))
     above.setFixedHeight(600)
     part.setFixedHeight(100)
+    below.setFixedHeight(400)
     part.hide()
+    below.hide()
     layout = QVBoxLayout(inner)
-    layout.addWidget(above)
-    layout.addWidget(part)
+    for label in (above, part, below):
+        layout.addWidget(label)
     outer = QWidget()
     outer.resize(300, 200)
     column = Column(inner, outer)
@@ -113,6 +115,17 @@ def test_a_part_that_was_just_shown_is_scrolled_to(app, spin):
     column.show_part(part)
     bar = column.verticalScrollBar()
     spin(lambda: bar.value() >= 500, 5)
+    # What follows may appear later.
+    below.show()
+    spin(lambda: bar.value() == part.y(), 5)
+    below.hide()
+    spin(lambda: bar.value() < part.y(), 5)
+    column.show_part(part)
+    spin(seconds=0.05, must=False)
+    bar.triggerAction(QAbstractSlider.SliderAction.SliderToMinimum)
+    below.show()
+    spin(seconds=0.2, must=False)
+    assert bar.value() == 0, "the user has scrolled"
     outer.close()
 
 

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from napari.utils.notifications import show_info, show_warning
-from qtpy.QtCore import QEvent, QObject, QSize, Qt, QUrl
+from qtpy.QtCore import QEvent, QObject, QPoint, QSize, Qt, QUrl
 from qtpy.QtGui import QDesktopServices
 from qtpy.QtWidgets import QDockWidget, QFrame, QMenu, QScrollArea, QWidget
 
@@ -139,7 +139,8 @@ class FitWidget(QWidget):
         shown.addStretch()
         scrolled = Column(inner, self)
         column(self.header, (scrolled, 1), self.footer, of=self, spacing=2)
-        self.doc.began.connect(partial(scrolled.show_part, self.running))
+        for news in (self.doc.began, self.doc.ended):
+            news.connect(partial(scrolled.show_part, self.running))
         self.settings.psf_button.clicked.connect(
             partial(scrolled.show_part, self.settings.psf_fold)
         )
@@ -176,15 +177,30 @@ class Column(QScrollArea):
         self.setFrameShape(QFrame.Shape.NoFrame)
         self._part: QWidget | None = None
         self._soon = one_shot(self, self._go)  # when what was just shown has its place
+        bar = self.verticalScrollBar()
+        if bar is not None:
+            bar.actionTriggered.connect(self._scrolled_by_hand)
 
     def show_part(self, part: QWidget, event: Any = None) -> None:
-        """Scroll until a part of the content is visible."""
+        """Scroll until a part of the content is at the top, so that what follows it is seen too.
+
+        Where there is not yet enough below it, that is done once there is, unless the user has
+        scrolled.
+        """
         self._part = part
         self._soon.start()
 
     def _go(self) -> None:
-        if self._part is not None:
-            self.ensureWidgetVisible(self._part, 0, 0)
+        shown, bar = self.widget(), self.verticalScrollBar()
+        if self._part is None or shown is None or bar is None:
+            return
+        top = self._part.mapTo(shown, QPoint()).y()
+        bar.setValue(top)
+        if bar.maximum() >= top:
+            self._part = None
+
+    def _scrolled_by_hand(self, action: int) -> None:
+        self._part = None
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         """Called by Qt for events of the content: its width may change late, with the theme."""
@@ -192,6 +208,8 @@ class Column(QScrollArea):
         shown, bar = self.widget(), self.verticalScrollBar()
         if shown is not None and bar is not None and event is not None and event.type() in kinds:
             self.setMinimumWidth(shown.minimumSizeHint().width() + bar.sizeHint().width() + 2)
+            if self._part is not None:
+                self._soon.start()
         return bool(super().eventFilter(watched, event))
 
 

@@ -135,7 +135,6 @@ class MeshLayers:
     def close(self) -> None:
         """Undo every connection; the layers stay."""
         self.connections.undo()
-        self._sorting.stop()
 
     def remove(self, but: Collection[Any] = ()) -> None:
         """Close it, and remove its layers except some."""
