@@ -61,7 +61,7 @@ def test_a_fit_without_fault_is_good():
         ({"followed": 0.3}, "poor", "the seeds did not match the image, and the surfaces hardly"),
         ({"followed": 0.5}, "good", "good"),
         ({"doubts": ("is the step along Z too large?",)}, "fair", "is the step along Z too large?"),
-        ({"unsure": True}, "fair", "membranes may be fluorescent as well"),
+        ({"unsure": True}, "fair", "membranes may be fluorescent, and"),
         ({"alone": True}, "fair", "insides alone may explain as much"),
         ({"nuclei": True}, "fair", "a dim middle was taken for a dark nucleus"),
         ({"lit": True}, "fair", "subtracted as a local background, a rough estimate"),

@@ -83,13 +83,26 @@ def test_a_fit_that_fails_does_not_take_over_the_last_result(seeded, with_image,
     seeded.seeds.shape.setCurrentIndex(0)
     seeded.start()
     spin(done(seeded))
-    assert seeded.running.verdict.verdict == "failed"
-    assert not seeded.running.verdict.isHidden()
+    reason = seeded.footer.reason
+    assert "outside the image" in reason.text()
+    assert len(told) == 1, "the dock is not seen"
+    assert seeded.running.isHidden(), "there is nothing to check"
     assert seeded.results.isHidden()
     assert seeded.doc.present() is None
     choose(seeded, "cell")
     assert not seeded.results.isHidden()
-    assert seeded.running.verdict.verdict != "failed"  # that is of the other image
+    assert not reason.text(), "it is of the other image"
+
+
+def test_a_failure_that_the_footer_shows_is_not_told_again(seeded, with_image, spin, told):
+    seeded.show()
+    with_image.layers["seeds"].data = [(500, 500, 500)]
+    seeded.start()
+    spin(done(seeded))
+    assert "outside the image" in seeded.footer.reason.text()
+    assert told == []
+    with_image.layers["seeds"].data = [(2, 2, 2)]
+    spin(lambda: not seeded.footer.reason.text())
 
 
 def test_found_cells_are_of_their_image(make_widget, with_image, spin, other, monkeypatch):

@@ -138,7 +138,7 @@ def _coarse(fit: Facts) -> Reason | None:
 def _unsure(fit: Facts) -> Reason | None:
     if not fit.unsure:
         return None
-    text = "membranes may be fluorescent as well, and the surfaces then lie further in"
+    text = "membranes may be fluorescent, and the surfaces then lie further in"
     return Reason("unsure", "fair", f"{text} (try --structure both)")
 
 

@@ -70,7 +70,6 @@ class Document:
         self.second = SecondSource(viewer, self.image)
         self.settings = FitChoice(self.image, self.second)
         self.work = Work()
-        self.failed.connect(self.warned.emit)
         self.work.remarked.connect(lambda warning: self.warned.emit(str(warning)))
         self.run: Any = None  # the last FitRun
         self.begun = False  # whether its first state was shown

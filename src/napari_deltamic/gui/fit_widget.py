@@ -46,6 +46,7 @@ class FitWidget(QWidget):
         self.doc = doc = Document(unwrapped(napari_viewer))
         doc.told.connect(lambda text: show_info(for_window(text)))
         doc.warned.connect(lambda text: show_warning(for_window(text)))
+        doc.failed.connect(self._failed)
         self.image = ImagePanel(doc, self)
         self.seeds = SeedsPanel(doc, self)
         self.settings = SettingsPanel(doc, OpticsPanel(doc, self), EffectsPanel(doc, self), self)
@@ -91,6 +92,11 @@ class FitWidget(QWidget):
     def stop(self) -> None:
         """Stop what runs; what it reached is kept."""
         self.doc.work.stop()
+
+    def _failed(self, text: str) -> None:
+        """Warn of what the footer says if it cannot be seen."""
+        if not self.isVisible():
+            show_warning(for_window(text))
 
     def close_links(self) -> None:
         """Stop what runs, and release the viewer; the widget is of no use after that."""

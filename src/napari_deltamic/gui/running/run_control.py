@@ -165,14 +165,11 @@ class RunControl:
             doc.warned.emit(outcome.message)
         elif outcome.verdict == "failed":
             doc.failed.emit(outcome.message)
-        words = outcome.verdict, "\n".join([text, *remarks])
         if state is None or job is None:
-            if record.state is None:
-                record.end(*words)
             doc.result_changed.emit()  # of an earlier result, how good it is still holds
             return
         doc.begin(record)
-        record.end(*words)
+        record.end(outcome.verdict, "\n".join([text, *remarks]))
         record.show(state)
         record.take(state, job, run.history, run.seconds)
         doc.result_changed.emit()

@@ -95,7 +95,8 @@ class AccuracyForecast(QObject):
         super().__init__(parent)
         self._doc, self._choice = doc, doc.settings
         self.noise = doc.settings.noise
-        self.background = doc.background(lambda why: self.predicts.emit(f"no forecast: {why}"))
+        # Why there is none, the seeds say, or the fit once it is started.
+        self.background = doc.background(lambda why: self.predicts.emit(""))
         for signal in (doc.image.changed, doc.cells_changed, doc.settings.changed):
             signal.connect(self.later)
         dial.currentTextChanged.connect(self.later)
