@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter, label
 
 from napari_deltamic import InputError
+from napari_deltamic.errors import NoCellsFound
 from napari_deltamic.geometry.labels import bright_cells
 from napari_deltamic.geometry.labels.bright_cells import cells_of
 from napari_deltamic.geometry.labels.crowded_cells import crowded_cells, without_halves
@@ -341,3 +342,27 @@ def test_a_clump_is_parted_by_dark_walls_and_a_nucleus_with_chromatin_is_one(gap
     found = cells_of(image, VOXEL).labels
     assert found.max() == labels.max() == (3 if gap else 1)
     assert matched(found, labels) == 1
+
+
+def test_cells_of_an_image_are_looked_for_once(monkeypatch):
+    """Seeds are found, and then asked how far they reach: in large stacks, 20 s each."""
+    looked, really = [], bright_cells._cells_of
+
+    def look(*asked):
+        looked.append(asked[2])
+        return really(*asked)
+
+    monkeypatch.setattr(bright_cells, "_cells_of", look)
+    image = image_of("nuclei", photons=55.0)  # no other test has asked for its cells
+    first = cells_of(image, VOXEL)
+    first.labels[:] = 0  # who has them may change them
+    again = cells_of(2 * image.astype(np.float64), VOXEL)
+    assert again.labels.max() > 1
+    assert looked == [None]
+    cells_of(image, VOXEL, again.size)
+    cells_of(image, [2 * side for side in VOXEL])
+    assert looked == [None, again.size, None]
+    for _ in range(2):
+        with pytest.raises(NoCellsFound, match="no cells"):
+            cells_of(np.random.default_rng(0).normal(size=(20, 30, 30)), VOXEL)
+    assert len(looked) == 4

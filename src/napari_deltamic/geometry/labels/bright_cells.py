@@ -12,16 +12,19 @@ dark places holds no bright cells.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from skimage.filters import threshold_li, threshold_otsu
 
+from ...common.kept import Kept
 from ...errors import InputError
 from ..distance_transform import distance_transform
 from ..mesh import FloatArray
+from .basins import content_of
 from .bright_things import (
     Smoothed,
     bright_things,
@@ -115,6 +118,9 @@ class CellsFound:
     others: tuple[SizeFound, ...] = ()
 
 
+_FOUND: Kept[CellsFound | InputError] = Kept(1)
+
+
 def cells_of(
     image: ArrayLike, voxel_size: Sequence[float], size: float | None = None
 ) -> CellsFound:
@@ -133,6 +139,25 @@ def cells_of(
     InputError
         For the same reasons as in :func:`~.find_cells.find_cells`.
     """
+    data, known, voxel = checked_image(image, voxel_size)
+    # Seeds are found, and then asked how far they reach, in the same image.
+    key = (content_of(data, voxel), size) if known.all() else None
+    found = _FOUND.get(key, lambda: _found_or_why_not(image, voxel_size, size))
+    if isinstance(found, InputError):
+        raise copy(found)
+    return replace(found, labels=found.labels.copy())
+
+
+def _found_or_why_not(
+    image: ArrayLike, voxel_size: Sequence[float], size: float | None
+) -> CellsFound | InputError:
+    try:
+        return _cells_of(image, voxel_size, size)
+    except InputError as error:
+        return error.with_traceback(None)  # which would keep large arrays
+
+
+def _cells_of(image: ArrayLike, voxel_size: Sequence[float], size: float | None) -> CellsFound:
     data, known, voxel = checked_image(image, voxel_size)
     sharper = in_focus(data, voxel) if known.all() else data
     widefield = sharper is not data

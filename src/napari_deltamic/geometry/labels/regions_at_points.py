@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.segmentation import watershed
 
-from ...common.kept import Kept
 from ...errors import InputError
 from ..mesh import FloatArray, IntArray
 from ..refused import Refused
-from .basins import content_of, label_basins
+from .basins import label_basins
 from .bright_ball import ball_at, bright_ball, stands_out
 from .hollow_ball import hollow_ball
 from .in_focus import in_focus
@@ -205,15 +204,8 @@ def _shines_around(smooth: FloatArray, region: np.ndarray, found: CellsFound) ->
 
 
 # The cells of the last image, since every click of a user needs them again.
-_CELLS: Kept[CellsFound | None] = Kept(1)
-
-
 def _cells(data: FloatArray, size: FloatArray) -> CellsFound | None:
     """Return the cells that are found without points; None if there are none."""
-    return _CELLS.get(content_of(data, size), lambda: _found(data, size))
-
-
-def _found(data: FloatArray, size: FloatArray) -> CellsFound | None:
     # Imported where it is needed, as that takes a while.
     from .bright_cells import cells_of
 
