@@ -74,8 +74,18 @@ def test_a_fit_within_a_region_still_lies_on_its_image(seeded, with_image, spin)
     seeded.start()
     spin(done(seeded))
     assert seeded.doc.other == ""
-    with_image.layers["cell"].translate = (1, 2, 3.5)
+    layer, contours = with_image.layers["cell"], with_image.layers["cell: contours"]
+    place, scale = tuple(layer.translate), tuple(layer.scale)
+    assert contours.visible
+    layer.translate = (1, 2, 3.5)
     assert seeded.doc.other == "place"
+    assert not contours.visible, "they would lie beside the cells"
+    layer.translate = place
+    assert contours.visible
+    layer.scale = (0.6, 0.3, 0.3)
+    assert not contours.visible
+    layer.scale = scale
+    assert contours.visible
 
 
 def test_cells_that_were_found_in_other_pixels_are_told_to_be(

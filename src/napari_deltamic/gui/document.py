@@ -87,7 +87,8 @@ class Document:
         self._fresh = True  # whether the run has a mesh of its own
         self._connections = Connections()
         self._connections.connect(viewer.layers.events.removed, self._layer_removed)
-        self.image.changed.connect(self._follow_image)
+        for news in (self.image.changed, self.image.looked):
+            news.connect(self._follow_image)
 
     # ---- what there is ------------------------------------------------------------------------
 
@@ -408,9 +409,13 @@ class Document:
         return link
 
     def _follow_image(self) -> None:
-        """Show only the fit of the chosen image, not those of other images."""
+        """Show only the fit of the chosen image, and only as long as it lies on that."""
         for record in self.records.values():
-            record.link.follow_image(self.of_image(record))
+            link = record.link
+            on_it = link.image_layer not in self.viewer.layers or link.frame.lies_on(
+                link.image_layer
+            )
+            link.follow_image(on_it and self.of_image(record))
 
     def _layer_removed(self, event: Any) -> None:
         """Drop the record of a removed image; if it was being fitted, rescue it for saving."""

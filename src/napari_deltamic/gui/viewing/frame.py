@@ -105,6 +105,10 @@ class Frame:
         """Whether an image layer has this voxel size, to the digits that fields show."""
         return bool(np.allclose(voxel_size(layer), self.voxel_size, rtol=1e-3, atol=0))
 
+    def lies_on(self, layer: Any) -> bool:
+        """Whether an image layer has the voxel size and the place that it had."""
+        return self.has_size_of(layer) and self.has_place_of(layer)
+
     def has_place_of(self, layer: Any) -> bool:
         """Whether an image layer with this voxel size still lies where it did."""
         try:
