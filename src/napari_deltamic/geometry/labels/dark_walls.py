@@ -62,10 +62,10 @@ def without_bright_walls(parts: Labels, smooth: Image, ground: float) -> NDArray
 
     ground : how bright it is beside the parts.
     """
-    joined, count = parts.astype(np.int32), int(parts.max()) + 1
+    joined, count, within = parts.astype(np.int32), int(parts.max()) + 1, parts > 0
     while True:
         pairs, walls = _walls(joined, smooth)
-        own = _quantiles(smooth.ravel(), joined.ravel().astype(np.int64), count, WALLS.inside)
+        own = _quantiles(smooth[within], joined[within].astype(np.int64), count, WALLS.inside)
         bright = (walls - ground) / np.maximum(own[pairs].min(1) - ground, 1e-30)
         fresh = set(pairs.ravel().tolist())  # not yet joined to another in this round
         target = np.arange(len(own), dtype=np.int32)
