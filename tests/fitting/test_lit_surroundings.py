@@ -183,7 +183,7 @@ def test_a_thick_bright_layer_is_no_light_around_cells(monkeypatch, interior, li
 
 @pytest.mark.parametrize(("wide", "lit"), [(1.2, True), (1.3, False)])
 def test_what_leaves_the_psf_wide_is_no_light_around_cells(monkeypatch, wide, lit):
-    """Taken from the light of nuclei with chromatin, it left them 8 % too small."""
+    """A local background made of their own light left nuclei with chromatin 8 % too small."""
 
     def stepped(rival):
         fitted = replace(rival.fitted, optics=nd.GaussianPSF(wide * np.array(WIDE.sigma_um)))

@@ -353,7 +353,8 @@ def test_cells_of_an_image_are_looked_for_once(monkeypatch):
         return really(*asked)
 
     monkeypatch.setattr(bright_cells, "_cells_of", look)
-    image = image_of("nuclei", photons=55.0)  # no other test has asked for its cells
+    bright_cells._FOUND.clear()
+    image = image_of("nuclei")
     first = cells_of(image, VOXEL)
     first.labels[:] = 0  # who has them may change them
     again = cells_of(2 * image.astype(np.float64), VOXEL)
@@ -362,7 +363,11 @@ def test_cells_of_an_image_are_looked_for_once(monkeypatch):
     cells_of(image, VOXEL, again.size)
     cells_of(image, [2 * side for side in VOXEL])
     assert looked == [None, again.size, None]
+    image[4:7, 20:24] = np.nan
+    for _ in range(2):
+        cells_of(image, VOXEL)
+    assert len(looked) == 4
     for _ in range(2):
         with pytest.raises(NoCellsFound, match="no cells"):
             cells_of(np.random.default_rng(0).normal(size=(20, 30, 30)), VOXEL)
-    assert len(looked) == 4
+    assert len(looked) == 5

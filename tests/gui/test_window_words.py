@@ -126,6 +126,11 @@ def test_a_part_that_was_just_shown_is_scrolled_to_with_what_follows_it(app, spi
     below.show()
     spin(seconds=0.2, must=False)
     assert bar.value() == 0, "the user has scrolled"
+    bar.setValue(40)
+    part.hide()
+    column.show_part(part)
+    spin(seconds=0.1, must=False)
+    assert bar.value() == 40, "there is nothing to see"
     outer.close()
 
 

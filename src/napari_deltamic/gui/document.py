@@ -402,6 +402,7 @@ class Document:
             # What it showed lies elsewhere now; cells of another fit start there, perhaps.
             old.remove(but=self.cells.ticked)
         record.link.take_time(time)
+        self._follow_image()
 
     def _link_for(self, layer: Any, frame: Frame) -> ViewerLink:
         link = ViewerLink(self.viewer, layer, frame)

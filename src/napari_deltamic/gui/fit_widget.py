@@ -37,6 +37,9 @@ DOCS = "https://github.com/napari-deltamic/napari-deltamic/blob/main/docs/napari
 _WIDTH = 390  # px
 
 
+_SETTLED = 1000  # ms in which all is there that a fit shows at its end; chosen
+
+
 class FitWidget(QWidget):
     """Pick an image, find the cells, fit: the mesh and the PSF converge in the viewer."""
 
@@ -145,11 +148,16 @@ class FitWidget(QWidget):
         shown.addStretch()
         scrolled = Column(inner, self)
         column(self.header, (scrolled, 1), self.footer, of=self, spacing=2)
-        for news in (self.doc.began, self.doc.ended):
-            news.connect(partial(scrolled.show_part, self.running))
+        self.doc.began.connect(partial(scrolled.show_part, self.running))
+        self.doc.ended.connect(partial(self._show_end, scrolled))
         self.settings.psf_button.clicked.connect(
             partial(scrolled.show_part, self.settings.psf_fold)
         )
+
+    def _show_end(self, scrolled: Column) -> None:
+        """Scroll to how a fit went, unless the user looks at another image."""
+        if not self.doc.name_of_other(self.doc.record):
+            scrolled.show_part(self.running)
 
 
 class Header(QWidget):
@@ -185,27 +193,30 @@ class Column(QScrollArea):
         self._soon = one_shot(self, self._go)  # when what was just shown has its place
         bar = self.verticalScrollBar()
         if bar is not None:
-            bar.actionTriggered.connect(self._scrolled_by_hand)
+            bar.actionTriggered.connect(self._forget)
+        self._late = one_shot(self, self._forget, _SETTLED)
 
     def show_part(self, part: QWidget, event: Any = None) -> None:
         """Scroll until a part of the content is at the top, so that what follows it is seen too.
 
-        Where there is not yet enough below it, that is done once there is, unless the user has
-        scrolled.
+        Where there is not yet enough below it, that is done if there is soon, unless the user
+        scrolls first.
         """
         self._part = part
         self._soon.start()
+        self._late.start()
 
     def _go(self) -> None:
         shown, bar = self.widget(), self.verticalScrollBar()
-        if self._part is None or shown is None or bar is None:
+        if self._part is None or shown is None or bar is None or self._part.isHidden():
+            self._forget()
             return
         top = self._part.mapTo(shown, QPoint()).y()
         bar.setValue(top)
         if bar.maximum() >= top:
-            self._part = None
+            self._forget()
 
-    def _scrolled_by_hand(self, action: int) -> None:
+    def _forget(self, action: int = 0) -> None:
         self._part = None
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:

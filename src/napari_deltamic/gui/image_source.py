@@ -264,7 +264,7 @@ class ImageSource(LayerChoice):
         self._of_layer.undo()
         self._of_region.undo()
         if layer is not None:
-            for name in ("scale", "translate", "rotate", "data"):
+            for name in ("scale", "translate", "rotate", "shear", "affine", "units", "data"):
                 self._of_layer.connect(getattr(layer.events, name), self._look)
             self._take_size_of_file(layer)
             self._place_meshes()

@@ -252,7 +252,7 @@ class Work(QObject):
             activity.close()
 
 
-def one_shot(parent: QObject | None, slot: Callable[[], None], wait: int = 0) -> QTimer:
+def one_shot(parent: QObject, slot: Callable[[], None], wait: int = 0) -> QTimer:
     """A timer that calls a slot once, ``wait`` ms after it was last started."""
     timer = QTimer(parent)
     timer.setSingleShot(True)

@@ -2,8 +2,8 @@
 
 A PSF that is wider than the blur of the image is a sign of it. So a few steps are taken with the
 local background subtracted, through a PSF narrower than first estimated; if that explains clearly
-more beside the surfaces, the fit starts again with it. Beside them, the local background is
-continued from further away, so it cannot win by following the image.
+more beside the surfaces, and the PSF is not still wide, the fit starts again with it. Beside them,
+the local background is continued from further away, so it cannot win by following the image.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ class SurroundingsRules:
         ratios, for voxels beside either fit's surfaces, must be below this, and each below 1.
         Chosen; measured: 0.3 to 0.96 in such nuclei, 0.99 to 1.3 elsewhere.
     still_wider
-        Times the width first estimated: where the PSF of a trial is wider than this, the geometric
-        mean of its axes, the local background has not explained why it was wide, and takes from
-        the light of the cells. Chosen; measured: 0.6 to 1.1 in such nuclei, 1.4 to 1.5 around
+        Times the width first estimated, as geometric means over the axes: where the PSF of a trial
+        is wider than this, the local background has not explained why it was wide, and is light
+        of the cells themselves. Chosen; measured: 0.6 to 1.1 in such nuclei, 1.4 to 1.5 around
         nuclei with chromatin in smoothed stacks, which ended 8 % too small.
     hopeless
         What ``left`` compares, before the first step: where the lower of both ratios is above

@@ -118,6 +118,7 @@ class CellsFound:
     others: tuple[SizeFound, ...] = ()
 
 
+_Checked = tuple[Image, NDArray[np.bool_], FloatArray]  # as checked_image returns it
 _FOUND: Kept[CellsFound | InputError] = Kept(1)
 
 
@@ -139,26 +140,28 @@ def cells_of(
     InputError
         For the same reasons as in :func:`~.find_cells.find_cells`.
     """
-    data, known, voxel = checked_image(image, voxel_size)
+    checked = data, known, voxel = checked_image(image, voxel_size)
     # Seeds are found, and then asked how far they reach, in the same image.
-    key = (content_of(data, voxel), size) if known.all() else None
-    found = _FOUND.get(key, lambda: _found_or_why_not(image, voxel_size, size))
+    key = content_of(data, voxel), content_of(known, voxel), size
+    found = _FOUND.get(key, lambda: _found_or_why_not(image, voxel_size, size, checked))
     if isinstance(found, InputError):
         raise copy(found)
     return replace(found, labels=found.labels.copy())
 
 
 def _found_or_why_not(
-    image: ArrayLike, voxel_size: Sequence[float], size: float | None
+    image: ArrayLike, voxel_size: Sequence[float], size: float | None, checked: _Checked
 ) -> CellsFound | InputError:
     try:
-        return _cells_of(image, voxel_size, size)
+        return _cells_of(image, voxel_size, size, checked)
     except InputError as error:
         return error.with_traceback(None)  # which would keep large arrays
 
 
-def _cells_of(image: ArrayLike, voxel_size: Sequence[float], size: float | None) -> CellsFound:
-    data, known, voxel = checked_image(image, voxel_size)
+def _cells_of(
+    image: ArrayLike, voxel_size: Sequence[float], size: float | None, checked: _Checked
+) -> CellsFound:
+    data, known, voxel = checked
     sharper = in_focus(data, voxel) if known.all() else data
     widefield = sharper is not data
     if widefield:

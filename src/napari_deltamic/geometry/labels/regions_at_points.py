@@ -203,7 +203,6 @@ def _shines_around(smooth: FloatArray, region: np.ndarray, found: CellsFound) ->
     return bool(around.any() and (smooth[around] > least).mean() > _WIDE)
 
 
-# The cells of the last image, since every click of a user needs them again.
 def _cells(data: FloatArray, size: FloatArray) -> CellsFound | None:
     """Return the cells that are found without points; None if there are none."""
     # Imported where it is needed, as that takes a while.

@@ -161,7 +161,10 @@ class RunControl:
         if state is not None:
             done = "" if "iteration" in text else f"{counted(state.iteration, 'iteration')}, "
             text += f" ({done}{duration(run.seconds)})"
-        if outcome.verdict == "failed" and state is not None:
+        name = doc.name_of_other(record)
+        if outcome.verdict == "failed" and name:
+            doc.warned.emit(f"fit of {name}: {outcome.message}")
+        elif outcome.verdict == "failed" and state is not None:
             doc.warned.emit(outcome.message)
         elif outcome.verdict == "failed":
             doc.failed.emit(outcome.message)
@@ -202,6 +205,7 @@ class Judging:
         doc.began.connect(self._began)
         doc.result_changed.connect(self._judge)
         doc.image.changed.connect(self._image_changed)
+        doc.image.looked.connect(self._place)
         doc.view_changed.connect(self._place)
 
     def _began(self, fresh: bool) -> None:
@@ -250,5 +254,5 @@ class Judging:
         """Show the images of the present record, and hide those of others."""
         for record in self._doc.records.values():
             own = record is self._doc.record and self._doc.in_sight
-            own = own and self._doc.of_image(record)
+            own = own and record.link.of_chosen
             record.link.look(self._doc.view if own else "image")

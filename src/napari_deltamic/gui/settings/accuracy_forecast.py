@@ -95,7 +95,7 @@ class AccuracyForecast(QObject):
         super().__init__(parent)
         self._doc, self._choice = doc, doc.settings
         self.noise = doc.settings.noise
-        # Why there is none, the seeds say, or the fit once it is started.
+        # The seeds, or the fit once started, say why there is none.
         self.background = doc.background(lambda why: self.predicts.emit(""))
         for signal in (doc.image.changed, doc.cells_changed, doc.settings.changed):
             signal.connect(self.later)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from superqt.utils import qdebounced
 
 from ...geometry import Mesh
 from ...results.colouring import colour_indices
-from ..work import one_shot
 from .colours import LIMITS, ByValue, region_colormap, side_values, surface_look
 from .contours import Contours
 from .frame import MADE_BY_FIT, OWN, Frame, camera_of, go_to
@@ -38,7 +39,7 @@ class MeshLayers:
     known : what the layers' metadata say of them.
     time : step of the time point that the mesh is of, of a 4D image; () where it has none.
     surface_options : further ones, of the surface.
-    of_chosen : whether their image is the one chosen: those of others are not seen.
+    of_chosen : whether their image is the one chosen, and they lie on it: others are not seen.
     low : whether they lie just above the image, under what else is shown of it.
     """
 
@@ -68,8 +69,10 @@ class MeshLayers:
         for emitter in (dims.point, dims.order, dims.ndisplay):
             self.connections.connect(emitter, self.slice_changed)
         self.connections.connect(camera_of(viewer).events.zoom, self._zoomed)
-        self._sorting = one_shot(None, self._sort_faces, _STILL)
-        for emitter in (camera_of(viewer).events.angles, dims.order, dims.ndisplay):
+        self._sorting = qdebounced(self._sort_faces, timeout=_STILL)
+        camera = camera_of(viewer).events
+        turned = camera.angles, getattr(camera, "orientation", None), dims.order, dims.ndisplay
+        for emitter in filter(None, turned):  # napari before 0.6 has no orientation
             self.connections.connect(emitter, self._turned)
         self.connections.connect(self.contours.layer.events.visible, self.slice_changed)
 
@@ -135,6 +138,8 @@ class MeshLayers:
     def close(self) -> None:
         """Undo every connection; the layers stay."""
         self.connections.undo()
+        with suppress(RuntimeError):  # at the end of a program, Qt has deleted it
+            self._sorting.cancel()
 
     def remove(self, but: Collection[Any] = ()) -> None:
         """Close it, and remove its layers except some."""
@@ -180,7 +185,7 @@ class MeshLayers:
         self.slice_changed()
 
     def follow_image(self, chosen: bool) -> None:
-        """Show layers only while their image is chosen."""
+        """Show layers only while their image is chosen, and they lie on it."""
         self.of_chosen = chosen
         self.place()
 
@@ -299,8 +304,8 @@ class MeshLayers:
             self.slice_changed()
 
     def _turned(self, event: Any = None) -> None:
-        if self.contours.chosen and self._belongs():
-            self._sorting.start()
+        if self.contours.chosen:
+            self._sorting()
 
     def _sort_faces(self) -> None:
         """Draw the faces in the order that the view needs now."""
@@ -310,14 +315,16 @@ class MeshLayers:
         if not _same(apart.mesh, mesh):
             return
         self._apart = apart.seen(self.contours.chosen, mesh, self._view_direction())
-        self._set_surface(layer, mesh)
+        with layer.events.data.blocker():  # it is the same surface
+            self._set_surface(layer, mesh)
 
     def _view_direction(self) -> NDArray[np.float64]:
-        """(3,) where the camera looks, along Z, Y, X."""
+        """(3,) along Z, Y, X: depth in the view for each um."""
         direction, dims = np.zeros(3), self.viewer.dims
-        if dims.ndisplay == 3:
-            shown = np.array(dims.displayed) - (dims.ndim - 3)
-            direction[shown] = camera_of(self.viewer).view_direction
+        if dims.ndisplay == 3 and dims.ndim >= 3:
+            seen = np.zeros(dims.ndim)
+            seen[list(dims.displayed)] = camera_of(self.viewer).view_direction
+            direction = seen[-3:] / np.asarray(self.frame.um)
         return direction
 
     def _belongs(self) -> bool:
