@@ -164,11 +164,10 @@ def test_in_3d_the_nearest_faces_of_cells_that_are_not_chosen_are_drawn_first(vi
     camera.angles = (0, 0, 90)
     spin(lambda: in_order((2, 0, 1)))
     assert not changed, "it is the same surface, which may be what a fit starts from"
-    if hasattr(camera, "orientation"):
-        depth, *rest = map(str, camera.orientation)
-        camera.orientation = ("away" if depth == "towards" else "towards", *rest)
-        assert not in_order((2, 0, 1))
-        spin(lambda: in_order((2, 0, 1)))
+    depth, *rest = map(str, camera.orientation)
+    camera.orientation = ("away" if depth == "towards" else "towards", *rest)
+    assert not in_order((2, 0, 1))
+    spin(lambda: in_order((2, 0, 1)))
     viewer.dims.ndisplay = 2
     shown.highlight(frozenset({1}))
     shown.highlight(frozenset({2}))

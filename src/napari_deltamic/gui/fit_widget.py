@@ -35,8 +35,6 @@ from .work import one_shot
 
 DOCS = "https://github.com/napari-deltamic/napari-deltamic/blob/main/docs/napari.md"
 _WIDTH = 390  # px
-
-
 _SETTLED = 1000  # ms in which all is there that a fit shows at its end; chosen
 
 

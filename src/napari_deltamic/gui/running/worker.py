@@ -127,8 +127,7 @@ class FitRun(Task):
             self._on_snapshot(newest)
 
     def end(self, outcome: Outcome | None) -> None:
-        text = "stopped" if self.state else "stopped before the first iteration"
-        self._on_end(outcome or Outcome("stopped", text))
+        self._on_end(outcome or Outcome("stopped", "stopped"))
 
     def failed(self, error: Exception) -> Outcome:
         shape = self.job.grid.shape if self.job else None

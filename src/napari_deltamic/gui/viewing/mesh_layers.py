@@ -71,8 +71,7 @@ class MeshLayers:
         self.connections.connect(camera_of(viewer).events.zoom, self._zoomed)
         self._sorting = qdebounced(self._sort_faces, timeout=_STILL)
         camera = camera_of(viewer).events
-        turned = camera.angles, getattr(camera, "orientation", None), dims.order, dims.ndisplay
-        for emitter in filter(None, turned):  # napari before 0.6 has no orientation
+        for emitter in (camera.angles, camera.orientation, dims.order, dims.ndisplay):
             self.connections.connect(emitter, self._turned)
         self.connections.connect(self.contours.layer.events.visible, self.slice_changed)
 
