@@ -10,6 +10,8 @@ from napari_deltamic.evidence import first_sigma as module
 from napari_deltamic.evidence.estimate import Finding
 from napari_deltamic.evidence.first_sigma import FirstSigma, first_sigma, plausible_sigma
 from napari_deltamic.geometry import sphere
+from napari_deltamic.scene import expected_image
+from napari_deltamic.scene.light import Light
 
 
 @pytest.mark.parametrize("sigma", [(0.42, 0.24, 0.24), (0.6, 0.3, 0.3)])
@@ -30,8 +32,9 @@ def test_widths_are_right_to_a_quarter(sigma):
         np.full((20, 30, 30), 4.0),
         np.random.default_rng(0).normal(size=(24, 32, 32)),
         np.random.default_rng(0).poisson(5, (6, 30, 30)),
+        np.random.default_rng(0).poisson(5, (4, 30, 30)),
     ],
-    ids=["constant", "noise", "thin"],
+    ids=["constant", "noise", "few slices of noise", "thin"],
 )
 def test_an_image_that_tells_nothing_gives_none(image):
     found = first_sigma(image, (0.3, 0.2, 0.2))
@@ -70,7 +73,7 @@ def test_a_part_that_holds_only_the_caps_of_a_large_cell_does_not_decide(monkeyp
 
 @pytest.mark.parametrize(
     ("widths", "usable"),
-    [((6.5, 3.0), True), ((9.0, 3.0), False), ((6.5, 4.5), False), ((0.9, 0.4), False)],
+    [((6.5, 3.0), True), ((9.0, 3.0), False), ((6.5, 4.5), False)],
 )
 def test_a_psf_may_be_wide_along_z_alone(widths, usable, monkeypatch):
     """Voxels; in a haze, the spectrum tells great widths in the plane as well."""
@@ -78,6 +81,50 @@ def test_a_psf_may_be_wide_along_z_alone(widths, usable, monkeypatch):
     monkeypatch.setattr(module, "first_sigma", lambda *_: FirstSigma(z, yx))
     found = plausible_sigma(np.zeros((20, 20, 20)), (0.3, 0.2, 0.2))
     assert found == ((z.value, yx.value, yx.value) if usable else None)
+
+
+@pytest.mark.parametrize(
+    ("widths", "used"),
+    [((0.4, 0.8), (0.6, 0.8)), ((1.0, 0.3), (1.0, 0.6)), ((None, 1.0), (1.2, 1.0))],
+)
+def test_what_voxels_do_not_tell_is_as_wide_as_they_may(widths, used, monkeypatch):
+    """Voxels; one axis alone is better than none."""
+    sides = 0.3, 0.3
+    z, yx = (
+        Finding(None if w is None else w * side, 0.01, "")
+        for w, side in zip(widths, sides, strict=True)
+    )
+    monkeypatch.setattr(module, "first_sigma", lambda *_: FirstSigma(z, yx))
+    found = plausible_sigma(np.zeros((20, 20, 20)), (0.3, 0.3, 0.3))
+    assert found == pytest.approx((0.3 * used[0], 0.3 * used[1], 0.3 * used[1]))
+
+
+def seen_in(shape, voxel_size, sigma, light, seed=0):
+    """Photons of a cell in the middle."""
+    grid = Grid(shape, voxel_size)
+    middle = (np.asarray(shape) - 1) * np.asarray(voxel_size) / 2
+    cell = sphere(middle, (1.6, 2.4, 2.2), subdivisions=4)
+    given = grid, GaussianPSF(sigma), 1e-2, 1.0, 0.0
+    image = expected_image(cell, *given, light=light).clip(0)
+    return np.random.default_rng(seed).poisson(2 + 60 * image / image.max()).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "light", [Light(1.0, 0.0), Light(1.0, 1.0), Light(0.0, 1.0)], ids=["membrane", "both", "inside"]
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_what_shines_does_not_matter(light, seed):
+    """The light of an inside falls faster: as that of a membrane, it looked 1.4 times as wide."""
+    true = (0.4, 0.2, 0.2)
+    image = seen_in((40, 56, 56), (0.15, 0.12, 0.12), true, light, seed)
+    assert plausible_sigma(image, (0.15, 0.12, 0.12)) == pytest.approx(true, rel=0.2)
+
+
+@pytest.mark.parametrize("slices", [6, 8, 11])
+def test_few_slices_tell_it_as_well(slices):
+    true, size = (0.6, 0.2, 0.2), (0.6, 0.12, 0.12)
+    image = seen_in((slices, 56, 56), size, true, Light(1.0, 0.0))
+    assert plausible_sigma(image, size) == pytest.approx(true, rel=0.25)
 
 
 def test_a_psf_six_voxels_long_is_told():

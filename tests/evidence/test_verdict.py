@@ -55,6 +55,8 @@ def test_a_fit_without_fault_is_good():
         ({"widths": {"across": 0.6, "along Z": 0.6}}, "fair", "1.7 times as sharp in Z"),
         ({"widths": {"across": 1.0, "along Z": 2.4}}, "good", "good"),
         ({"narrow": True}, "fair", "too narrow for the voxels"),
+        ({"missing": (4,)}, "fair", "point 4 has no cell"),
+        ({"missing": (2, 4)}, "fair", "points 2 and 4 have no cell"),
         ({"cut": 0.6}, "fair", "60% of the bright voxels are saturated"),
         ({"cut": 0.3}, "good", "good"),
         ({"compressed": True}, "fair", "look log-scaled"),
@@ -372,7 +374,7 @@ def test_facts_of_a_fit(monkeypatch):
     for told, axes in ((0.13, {"across", "along Z"}), (0.11, {"across"})):  # um; 0.6 voxel: 0.12
         sharp = FirstSigma(Finding(told), Finding(0.24))
         with monkeypatch.context() as patch:
-            patch.setattr(fit_facts, "first_sigma", lambda *given, sharp=sharp: sharp)
+            patch.setattr(fit_facts, "first_sigma", lambda *given, sharp=sharp, **_: sharp)
             assert set(facts_of(job, state, analyse_residual(image, grid, state)).widths) == axes
     (cell,) = facts.cells
     assert cell.growth == pytest.approx((1.5 / 1.2) ** 3, rel=0.1)

@@ -143,6 +143,32 @@ def test_nuclei_are_not_asked_for(given):
     assert around_nuclei(terms, objective) == (None, False, 0)
 
 
+@pytest.mark.parametrize(("gained", "taken"), [(30.0, False), (300.0, True)])
+def test_a_second_surface_pays_for_its_patches(monkeypatch, gained, taken):
+    """A nucleus 1.8 um in radius has 150 patches twice as wide as the PSF."""
+    cells = _with_nuclei(BALL, GRID, 0.4)
+    assert cells.patches(cells.mesh, 0.26) == pytest.approx(150, rel=0.15)
+    fitted = SimpleNamespace(
+        mesh=BALL,
+        optics=OPTICS,
+        first_optics=OPTICS,
+        shape=SimpleNamespace(pinned=np.zeros(1, bool)),
+    )
+    both = SimpleNamespace(
+        fitted=fitted, now=SimpleNamespace(light=Light(1.0, 0.3)), evaluations=lambda: 1
+    )
+    both.anew = lambda: both
+    rival = SimpleNamespace(fitted=SimpleNamespace(mesh=cells.mesh, optics=OPTICS))
+    settings = SimpleNamespace(density="smooth", fit_psf=True)
+    terms = SimpleNamespace(second=None, settings=settings, level=SimpleNamespace(grid=GRID))
+    monkeypatch.setattr(dark_nuclei, "_with_nuclei", lambda *_: cells)
+    monkeypatch.setattr(dark_nuclei, "_followed", lambda *_: (rival, True, 5))
+    monkeypatch.setattr(dark_nuclei, "gains_over", lambda *_: 2 * [np.full((1, 64), gained / 64)])
+    monkeypatch.setattr(dark_nuclei, "_alone", lambda *_: "around nuclei")
+    expected = ("around nuclei", False, 6) if taken else (None, True, 6)
+    assert around_nuclei(terms, both) == expected
+
+
 # ---- whole fits ------------------------------------------------------------------------------
 
 

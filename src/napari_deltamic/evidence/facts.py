@@ -161,6 +161,8 @@ class Facts:
         distance to the seeds explained hardly any (:func:`~.sanity.followed`); None if it did.
     single
         Whether only one slice holds an image (:func:`~.sanity.single_slice`).
+    missing
+        Numbers of a user's points for which there is no cell.
     by_hand
         Whether the shapes were changed by hand after the fit.
     doubts
@@ -188,6 +190,7 @@ class Facts:
     accuracy: float = 0.0
     followed: float | None = None
     single: bool = False
+    missing: tuple[int, ...] = ()
     by_hand: bool = False
     doubts: tuple[str, ...] = ()
 

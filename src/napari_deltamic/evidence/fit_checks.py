@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ..errors import listed
 from .facts import Facts
 from .reason import Reason, fair_if, unexplained
 from .sanity import SINGLE
@@ -73,6 +74,15 @@ def _saturated(fit: Facts) -> Reason | None:
     text = f"{fit.cut:.0%} of the bright voxels are saturated: their brightness is a guess"
     grade = fair_if(fit.cut <= RULES.cut_most)
     return Reason("saturated", grade, f"{text} (use a shorter exposure)")
+
+
+def _missing(fit: Facts) -> Reason | None:
+    """The cells that are there may be good; all that was asked for is not."""
+    if not fit.missing:
+        return None
+    have = "has" if len(fit.missing) == 1 else "have"
+    text = f"{listed('point', fit.missing)} {have} no cell"
+    return Reason("missing", "fair", f"{text}: give a radius, or move it inside the cell")
 
 
 def _compressed(fit: Facts) -> Reason | None:
@@ -181,7 +191,7 @@ def _blurred_deep(fit: Facts) -> Reason | None:
 
 # Of these, cells tell themselves how well they are explained and how far they may still move; and
 # dim cells are not saturated.
-FIT_CHECKS: tuple[FitCheck, ...] = (_unfinished, _explained, _saturated)
+FIT_CHECKS: tuple[FitCheck, ...] = (_unfinished, _explained, _saturated, _missing)
 # Doubts about what all cells share: the PSF, the image, the model, and what is labelled. If one is
 # right, each surface may lie too far in or out.
 SHARED_CHECKS: tuple[FitCheck, ...] = (

@@ -100,6 +100,7 @@ def facts_of(
         accuracy=job.settings.fit.image_accuracy,
         followed=_followed(job, state, seen),
         single=single,
+        missing=job.missing,
         by_hand=is_by_hand(state),
         doubts=doubted_scale(job),
     )
@@ -214,7 +215,7 @@ def _widths(job: FitInput, state: FitState, images: _Images) -> dict[str, float]
     tilted = isinstance(optics, GaussianPSF) and not optics.diagonal
     # Beside its long axis, a tilted one passes sharper light than along the axes of the image.
     sigma = optics.width() if tilted else optics.sigma_um
-    told = first_sigma(images.seen, size)
+    told = first_sigma(images.seen, size, insides=False)  # as the bounds were measured
     widths = {"across": (told.yx.value, max(sigma[1:]), max(size[1:]))}
     if isinstance(optics, GaussianPSF):  # the spectrum tells less about a light cone
         widths["along Z"] = told.z.value, sigma[0], size[0]

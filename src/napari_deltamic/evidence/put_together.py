@@ -72,7 +72,10 @@ def put_together(
     job = assemble(whole, image, grid, mesh, kind, second)
     given = settings.scene.sigma is not None or settings.scene.optics is not None
     job = replace(job, with_hot=as_read if hot else None, psf_guessed=not given)
-    return job if points is None else replace(job, crowded=_crowded(mesh, grid, points))
+    if points is None:
+        return job
+    crowded, missing = _placed(mesh, grid, points)
+    return replace(job, crowded=crowded, missing=missing)
 
 
 def start_of(
@@ -83,10 +86,16 @@ def start_of(
     return seeds.make(image, grid), seeds.kind, points
 
 
-def _crowded(mesh: Mesh, grid: Grid, points: FloatArray) -> frozenset[int]:
-    """Regions in which several points lie."""
+def _placed(mesh: Mesh, grid: Grid, points: FloatArray) -> tuple[frozenset[int], tuple[int, ...]]:
+    """Regions in which several points lie, and the numbers, from 1, of points that lie in none."""
     labels = voxel_labels(mesh, grid.shape, grid.voxel_size, grid.origin)
     index = np.floor((points - np.asarray(grid.origin)) / np.asarray(grid.voxel_size) + 0.5)
-    index = index[((index >= 0) & (index < grid.shape)).all(1)].astype(int)
-    regions, number = np.unique(labels[tuple(index.T)], return_counts=True)
-    return frozenset(regions[(number > 1) & (regions > 0)].tolist())
+    seen = ((index >= 0) & (index < grid.shape)).all(1)
+    region = np.zeros(len(points), labels.dtype)
+    region[seen] = labels[tuple(index[seen].astype(int).T)]
+    names, number = np.unique(region, return_counts=True)
+    # A point beside a surface is still that of a cell that is named after it.
+    own = np.isin(np.arange(len(points)) + 1, mesh.region_ids())
+    missing = np.flatnonzero((region == 0) & ~own) + 1
+    crowded = names[(number > 1) & (names > 0)]
+    return frozenset(crowded.tolist()), tuple(missing.tolist())

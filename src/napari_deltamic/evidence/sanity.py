@@ -420,7 +420,7 @@ def _step(
     voxel_size: tuple[float, float, float],
     seeds: Mesh | None,
 ) -> Doubt | None:
-    width = first_sigma(pixels, voxel_size)
+    width = first_sigma(pixels, voxel_size, insides=False)  # as the bounds were measured
     ratio = None
     if width.z.value is not None and width.yx.value is not None:
         ratio = width.z.value / width.yx.value

@@ -39,6 +39,7 @@ class FitInput:
     predicted : um, mean distance to the true surface that is to be expected; None where it is not
         known.
     crowded : regions in which a user placed several points.
+    missing : numbers, from 1, of a user's points for which there is no cell.
     with_hot : the image as it was read, if some of its voxels are missing here, as no PSF can have
         made them so bright.
     psf_guessed : whether nobody has said how wide the PSF is.
@@ -54,6 +55,7 @@ class FitInput:
     kind: SeedKind = "rough"
     predicted: float | None = None
     crowded: frozenset[int] = frozenset()
+    missing: tuple[int, ...] = ()
     with_hot: NDArray[Any] | None = None
     psf_guessed: bool = False
 

@@ -119,6 +119,12 @@ class _Cells:
         layer = sum(volumes[cell] for cell in self.nuclei)
         return 2 * layer / max(float(areas[both].sum()), 1e-300)
 
+    def patches(self, mesh: Mesh, width: float) -> float:
+        """How many patches as wide as the PSF (um) the surfaces of nuclei have."""
+        areas, nuclei = mesh.areas(), list(self.nuclei.values())
+        inner = np.isin(mesh.regions, nuclei).any(axis=1)
+        return float(areas[inner].sum()) / (2 * width) ** 2
+
     def share(self, mesh: Mesh) -> float:
         """Share of the volume of cells with a nucleus that their nuclei fill."""
         volumes = mesh.volumes()
@@ -161,7 +167,8 @@ class _Cells:
 def around_nuclei(terms: Terms, objective: Objective) -> tuple[Fitted | None, bool, int]:
     """The fit of insides around dark nuclei, if a fit of both is one; and evaluations.
 
-    Also, if it is none, whether it may be one: there is a layer, which both explain better. Asked
+    Also, if it is none, whether it may be one: there is a layer, which both explain better, or as
+    well. Asked
     through Gaussian PSFs: what light cones add to a layer has no width.
     """
     fitted = objective.fitted
@@ -180,8 +187,12 @@ def around_nuclei(terms: Terms, objective: Objective) -> tuple[Fitted | None, bo
         return None, False, taken
     gains = gains_over(rival, both)
     # While the PSF is held, a layer stands in for one that is wider.
-    held = not terms.settings.fit_psf
-    if held or any(gains_exceed_error([-gain], RIVALS.errors) for gain in gains):
+    doubted = not terms.settings.fit_psf
+    # A number that means nothing gains half a nat, and costs as much in other images (H. Akaike,
+    # 1973); a second surface has one for each patch.
+    width = geometric_mean(rival.fitted.optics.sigma_um)
+    doubted |= float(gains[1].sum()) < cells.patches(rival.fitted.mesh, width)
+    if doubted or any(gains_exceed_error([-gain], RIVALS.errors) for gain in gains):
         return None, True, taken
     return _alone(terms.level, rival, cells), False, taken
 
