@@ -82,3 +82,12 @@ def test_the_scale_follows_the_free_unknowns_alone():
     memory.forget()
     assert len(memory) == 0
     assert memory.scale == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(("step", "change"), [(1e-47, 1.0), (1.0, 1e-47), (1.0, 1e40)])
+def test_what_single_precision_cannot_hold_is_no_pair(step, change):
+    """Else a direction was infinite: a fit of an image that told next to nothing failed."""
+    memory = Memory(identity, 1.0)
+    memory.add(np.full(3, step), np.full(3, change), np.ones(3, bool))
+    assert np.isfinite(memory.direction(np.ones(3))).all()
+    assert len(memory) == 0

@@ -170,9 +170,10 @@ class SpectrumRules:
     rings
         Number of rings of wavenumbers in the plane. Measured: half and twice change widths by 0.5 %
         at most.
-    fewest
-        Voxels along each axis, below which nothing is told. Measured on 26 scenes of 6 to 11 slices
-        (benchmarks.defaults): widths along Z are 0.7 to 1.7 times the true ones.
+    fewest, many
+        Voxels along each axis, below which nothing is told, and slices from which on all is taken
+        for surfaces. Measured on 26 scenes of 6 to 11 slices (benchmarks.defaults): widths along Z
+        are 0.7 to 1.7 times the true ones. Chosen.
     largest_error
         Largest relative error of a width that is told. Chosen, not measured: a start that is off by
         a quarter is still one.
@@ -222,9 +223,9 @@ class SpectrumRules:
     step
         Step of logarithms in difference quotients: rounding and curvature are both below 1e-6 then.
     narrowest
-        Voxels, below which no width is used. By definition, as in :mod:`..optics.narrow`. In real
-        nuclei in voxels of 0.26 um, the spectrum gives 0.48 and fits end at 0.42; from 0.5 on,
-        their PSF became a point (mean Dice index with labels drawn by hand 0.932; 0.947 from 0.64).
+        Voxels, below which no width is used. By definition, as in :mod:`..optics.narrow`. From 0.5
+        on, the PSF of real nuclei became a point (mean Dice index with labels drawn by hand 0.932,
+        and 0.947 from 0.64).
     in_voxels
         Widths along Z and in the plane, voxels, up to which a fit may start from them: wider ones
         would be haze, not a PSF. Measured on random scenes: of 18 in which the
@@ -238,6 +239,7 @@ class SpectrumRules:
 
     rings: int = 48
     fewest: int = 5
+    many: int = 12
     largest_error: float = 0.25
     shape_error: float = 0.08
     longest_wave: float = 0.5

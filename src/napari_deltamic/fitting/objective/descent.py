@@ -115,7 +115,7 @@ class Descent:
     def _direction(self, gradient: Variables) -> Variables:
         flat = gradient.flat()
         direction = self._memory.direction(flat)
-        if dot(direction, flat) >= 0:
+        if not dot(direction, flat) < 0:  # or no number, where amplitudes all but vanish
             self._memory.forget()
             direction = -self._guess(flat, self._memory.scale)
         return self.at.with_flat(direction)

@@ -89,11 +89,14 @@ class Memory:
 
         ``free`` (n,) bool: the unknowns whose curvature the scale of the metric follows.
         """
-        curvature = dot(step, change)
-        if curvature <= _LEAST_CURVATURE * np.sqrt(dot(step, step) * dot(change, change)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            rounded = step.astype(np.float32), change.astype(np.float32)
+            # What is rounded to nothing, or to infinity, says nothing either.
+            curvature = dot(*rounded)
+            much = np.sqrt(dot(rounded[0], rounded[0]) * dot(rounded[1], rounded[1]))
+        if not curvature > _LEAST_CURVATURE * much:
             return
-        rounded = step.astype(np.float32), change.astype(np.float32)
-        self._pairs.append((*rounded, dot(*rounded)))
+        self._pairs.append((*rounded, curvature))
         own = np.where(free, change, 0.0)
         measured = dot(own, self._metric(own, 1.0))
         along = dot(step, own)
