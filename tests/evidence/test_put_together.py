@@ -53,7 +53,9 @@ def test_several_points_in_one_surface_are_known(further, crowded):
     assert made(SceneSettings(voxel_size=SIZE))[0].crowded == set()
 
 
-@pytest.mark.parametrize(("further", "missing"), [((0, 0.6, 0), ()), ((0, 3.0, 0), (2,))])
+@pytest.mark.parametrize(
+    ("further", "missing"), [((0, 0.6, 0), ()), ((0, 3.0, 0), (2,)), ((90, 0, 0), ())]
+)
 def test_points_without_a_cell_are_known(further, missing):
     middle = np.array([3.5, 3.5, 5.0])
     job, _, _ = made(SceneSettings(voxel_size=SIZE), np.stack([middle, middle + further]))

@@ -96,6 +96,7 @@ def _placed(mesh: Mesh, grid: Grid, points: FloatArray) -> tuple[frozenset[int],
     names, number = np.unique(region, return_counts=True)
     # A point beside a surface is still that of a cell that is named after it.
     own = np.isin(np.arange(len(points)) + 1, mesh.region_ids())
-    missing = np.flatnonzero((region == 0) & ~own) + 1
+    # Beyond the image, or the part of it that is fitted, no cell was asked for.
+    missing = np.flatnonzero(seen & (region == 0) & ~own) + 1
     crowded = names[(number > 1) & (names > 0)]
     return frozenset(crowded.tolist()), tuple(missing.tolist())
