@@ -114,7 +114,7 @@ def seen_in(shape, voxel_size, sigma, light, seed=0):
 )
 @pytest.mark.parametrize("seed", range(3))
 def test_what_shines_does_not_matter(light, seed):
-    """The light of an inside falls faster: as that of a membrane, it looked 1.4 times as wide."""
+    """The light of an inside falls faster: as that of a membrane, it looked 1.5 times as wide."""
     true, size = (0.6, 0.2, 0.2), (0.6, 0.12, 0.12)
     image = seen_in((11, 56, 56), size, true, light, seed)
     assert plausible_sigma(image, size) == pytest.approx(true, rel=0.25)
