@@ -228,10 +228,10 @@ class SpectrumRules:
         and 0.947 from 0.64).
     in_voxels
         Widths along Z and in the plane, voxels, up to which a fit may start from them: wider ones
-        would be haze, not a PSF. Measured on random scenes: of 18 in which the
-        spectrum gave 4 to 6.7 voxels along Z alone, 17 were right along Z within a factor of 1.5
-        and the last within 2; of four in which it gave more than 4 in the plane as well, all were
-        1.6 to 11 times too wide there.
+        would be haze, not a PSF. Measured on random scenes: of 18 in which the spectrum gave 4 to
+        6.7 voxels along Z alone, 17 were right along Z within a factor of 1.5 and the last within
+        2; of four in which it gave more than 4 in the plane as well, all were 1.6 to 11 times too
+        wide there.
     z_over_yx
         Bounds of the width along Z over that in the plane: from a thin light sheet with its error
         to a low aperture; no microscope has more, so that it would be something else than a PSF.

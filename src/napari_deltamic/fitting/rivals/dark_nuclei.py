@@ -120,7 +120,7 @@ class _Cells:
         return 2 * layer / max(float(areas[both].sum()), 1e-300)
 
     def patches(self, mesh: Mesh, width: float) -> float:
-        """How many patches as wide as the PSF (um) the surfaces of nuclei have."""
+        """How many patches twice as wide as the PSF (um) the surfaces of nuclei have."""
         areas, nuclei = mesh.areas(), list(self.nuclei.values())
         inner = np.isin(mesh.regions, nuclei).any(axis=1)
         return float(areas[inner].sum()) / (2 * width) ** 2
@@ -168,8 +168,7 @@ def around_nuclei(terms: Terms, objective: Objective) -> tuple[Fitted | None, bo
     """The fit of insides around dark nuclei, if a fit of both is one; and evaluations.
 
     Also, if it is none, whether it may be one: there is a layer, which both explain better, or as
-    well. Asked
-    through Gaussian PSFs: what light cones add to a layer has no width.
+    well. Asked through Gaussian PSFs: what light cones add to a layer has no width.
     """
     fitted = objective.fitted
     asked = terms.second is None and terms.settings.density != "uniform"
